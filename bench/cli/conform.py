@@ -18,8 +18,9 @@ from bench.cli.output import Progress, table
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
 from bench.conform.levels import DEFAULT_LEVEL, LEVELS
-from bench.conform.verdicts import Verdict
+from bench.conform.verdicts import WORDS
 from bench.files import STANDARD_OUTPUT, write
+from bench.signal.verdict import Verdict
 
 if TYPE_CHECKING:
     from bench.conform.checks import Result
@@ -104,7 +105,6 @@ def _run(target: str, level: int, speed_rpm: float, yes: bool, quiet: bool) -> R
     """Run the checks, a table of each level as it ends."""
     from bench.conform.run import Options, conform
     from bench.rig.interrupts import signals_as_exceptions
-    from bench.rig.lock import alone_on
     from protocol.links import open_link
 
     with ExitStack() as stack:
@@ -113,13 +113,10 @@ def _run(target: str, level: int, speed_rpm: float, yes: bool, quiet: bool) -> R
             from bench.device.simulator import EmbeddedDrive
 
             target = stack.enter_context(EmbeddedDrive(note=note)).target
-        stack.enter_context(alone_on(target))
-        link = open_link(target)
-        stack.callback(link.close)
         screen = stack.enter_context(Progress())
         shown = _Tables(screen, quiet)
         confirm = screen.confirm if sys.stdin.isatty() else None
-        run = conform(link, Options(target, level, speed_rpm, yes), screen, confirm, shown.add)
+        run = conform(lambda: open_link(target), Options(target, level, speed_rpm, yes), screen, confirm, shown.add)
         shown.end()
     return run
 
@@ -147,7 +144,7 @@ class _Tables:
         self._screen.pause()
         table(
             [f"level {level}: {LEVELS[level]}", "verdict", "evidence"],
-            [[row.check.id, str(row.verdict), _short(row)] for row in rows],
+            [[row.check.id, WORDS[row.verdict], _short(row)] for row in rows],
         )
         echo()
         self._screen.resume()
@@ -155,4 +152,4 @@ class _Tables:
 
 def _short(row: Result) -> str:
     words = row.evidence
-    return words if row.verdict is not Verdict.PASSED or len(words) <= SHORT else f"{words[: SHORT - 1]}…"
+    return words if row.verdict is not Verdict.PASS or len(words) <= SHORT else f"{words[: SHORT - 1]}…"

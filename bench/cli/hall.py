@@ -21,6 +21,7 @@ from bench.cli.streams import echo, note
 from bench.cli.target import TargetType
 from bench.errors import Interrupted, OutputsMayBeOn
 from bench.files import STANDARD_OUTPUT, is_run, run_folder
+from bench.signal.verdict import Verdict
 
 if TYPE_CHECKING:
     from bench.cli.output import Progress
@@ -201,24 +202,25 @@ def _options(source: str, given: dict[str, Any], outputs: dict[str, Path | None]
 def _opened(options: Options, screen: Progress) -> Iterator[Source]:
     """What `opened` gives; a signal ends the command in a line that says how the drive was left."""
     from bench.hall.source import opened
+    from bench.rig.interrupts import signal_of
+    from bench.rig.outcome import RunOutcome
 
     try:
         with opened(options, screen, screen.confirm if sys.stdin.isatty() else None) as found:
             yield found
     except (KeyboardInterrupt, Interrupted) as interrupt:
         screen.pause()
-        number = interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
-        code = 128 + number
+        number, cause = signal_of(interrupt), interrupt.__cause__
         words = f"interrupted by {signal.Signals(number).name}"
-        if isinstance(interrupt.__cause__, OutputsMayBeOn):
-            code = interrupt.__cause__.exit_code
-        if interrupt.__cause__ is not None:
-            words += f"; {interrupt.__cause__}"
+        unsafe = str(cause) if isinstance(cause, OutputsMayBeOn) else ""
+        if cause is not None:
+            words += "" if unsafe else f"; {cause}"
         elif not options.recorded and not options.passive:
             words += "; outputs off"
         if options.save is not None and is_run(run_folder(options.save)):
             words += f"; recording: {run_folder(options.save)}"
-        fail(words, code)
+        ended = RunOutcome.of(Verdict.ABORTED, words, unsafe=unsafe, signum=number)
+        fail(ended.words, ended.exit_code)
 
 
 def _show(

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bench.signal.verdict import Verdict
 
 F64 = NDArray[np.float64]
 
@@ -31,12 +32,8 @@ TOO_FEW, DRIFTS = "too few samples", "drifts"
 ROUNDING = 1e-9  # of the larger mean: no difference
 
 
-class Verdict(StrEnum):
-    """Whether two runs differ in a quantity."""
-
-    DIFFERS = "differs"
-    SAME = "same within noise"
-    UNKNOWN = "unknown"  # too few samples, or the difference drifts
+VERDICT_WORDS = {Verdict.FAIL: "differs", Verdict.PASS: "same within noise", Verdict.INVALID: "unknown"}
+"""Whether two runs differ in a quantity; unknown where there are too few samples, or the difference drifts."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +45,7 @@ class Difference:
     error: float
     """Standard error of b - a."""
     verdict: Verdict
+    """See `VERDICT_WORDS`."""
     why: str = ""
     """Of what is unknown."""
 
@@ -85,7 +83,7 @@ def of_means(a: F64, b: F64) -> Difference:
     """Difference of the means of a quantity; `a`, `b`: sums (3, BATCHES) of the runs A and B."""
     used = _used(a, b)
     if not used.any():
-        return Difference(_mean(a), _mean(b), math.nan, Verdict.UNKNOWN, TOO_FEW)
+        return Difference(_mean(a), _mean(b), math.nan, Verdict.INVALID, TOO_FEW)
     return _judged(a[1, used] / a[0, used], b[1, used] / b[0, used])
 
 
@@ -107,7 +105,7 @@ def _of_roots(a: F64, b: F64, about_a: float, about_b: float) -> Difference:
         for sums, about in ((a, about_a), (b, about_b))
     ]
     if not used.any():
-        return Difference(_root(a, about_a), _root(b, about_b), math.nan, Verdict.UNKNOWN, TOO_FEW)
+        return Difference(_root(a, about_a), _root(b, about_b), math.nan, Verdict.INVALID, TOO_FEW)
     found = _judged(*squares)
     root_a, root_b = math.sqrt(max(found.a, 0.0)), math.sqrt(max(found.b, 0.0))
     total = root_a + root_b
@@ -138,10 +136,10 @@ def _judged(a: F64, b: F64) -> Difference:
     mean_a, mean_b = float(a.mean()), float(b.mean())
     size = abs(mean_b - mean_a)
     if size > SURE * error and size > ROUNDING * max(abs(mean_a), abs(mean_b)):
-        return Difference(mean_a, mean_b, error, Verdict.DIFFERS)
+        return Difference(mean_a, mean_b, error, Verdict.FAIL)
     if alike > DRIFT:
-        return Difference(mean_a, mean_b, error, Verdict.UNKNOWN, DRIFTS)
-    return Difference(mean_a, mean_b, error, Verdict.SAME)
+        return Difference(mean_a, mean_b, error, Verdict.INVALID, DRIFTS)
+    return Difference(mean_a, mean_b, error, Verdict.PASS)
 
 
 def standard_error(batches: F64) -> tuple[float, float]:

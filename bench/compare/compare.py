@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.compare.alignment import Side
-from bench.compare.batches import Batches, Difference, of_means, of_rms, of_std
+from bench.compare.batches import VERDICT_WORDS, Batches, Difference, of_means, of_rms, of_std
 from bench.compare.said import EventPair, ParameterPair, events, parameters
 from bench.errors import BenchError
 from bench.record.info import AnyChannel
@@ -130,7 +130,7 @@ def as_json(found: Comparison) -> dict[str, Any]:
             {
                 "quantity": row.name, "unit": row.unit, "a": row.difference.a, "b": row.difference.b,
                 "difference": row.difference.value, "standard_error": row.difference.error,
-                "verdict": row.difference.verdict.value, "why": row.difference.why or None,
+                "verdict": VERDICT_WORDS[row.difference.verdict], "why": row.difference.why or None,
             }
             for row in found.rows
         ],
@@ -149,4 +149,4 @@ def cells(row: Row) -> list[str]:
     """A row of the table."""
     of = row.difference
     numbers = [number(value, ".4g") for value in (of.a, of.b, of.value, of.error)]
-    return [row.name, row.unit or "–", *numbers, f"{of.verdict}: {of.why}" if of.why else of.verdict.value]
+    return [row.name, row.unit or "–", *numbers, VERDICT_WORDS[of.verdict] + (f": {of.why}" if of.why else "")]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from bench.conform.device import Device
-from bench.conform.verdicts import Verdict
+from bench.signal.verdict import Verdict
 
 
 class Carrier(StrEnum):

@@ -9,10 +9,10 @@ from typing import Any
 from bench.conform.checks import Check, Result
 from bench.conform.levels import CAN, LEVELS, MOTION
 from bench.conform.run import Run
-from bench.conform.verdicts import Verdict
+from bench.conform.verdicts import WORDS
 from bench.device.description import describe
 from bench.rig.outcome import RunOutcome
-from bench.signal.verdict import Verdict as Outcome
+from bench.signal.verdict import Verdict
 from bench.signal.versions import PROGRAM
 from protocol import __version__
 from protocol.framing import MAJOR, MINOR
@@ -46,8 +46,8 @@ def claim(run: Run) -> Claim:
     level = next((n - 1 for n in range(MOTION + 2) if n not in tested or n in missing), MOTION)
     untested = [f"level {n} ({LEVELS[n]})" for n in range(level + 1, MOTION + 1) if n not in tested]
     not_shown = [f"level {n} ({LEVELS[n]}), which needs {', '.join(ids)}" for n, ids in missing.items()]
-    failed, unknown = _ids(run.results, Verdict.FAILED), _ids(run.results, Verdict.UNKNOWN)
-    passed = run.count(Verdict.PASSED)
+    failed, unknown = _ids(run.results, Verdict.FAIL), _ids(run.results, Verdict.INVALID)
+    passed = run.count(Verdict.PASS)
     if failed:
         conforms: bool | None = False
         these = f"{counted(len(failed), 'check')} failed: {', '.join(failed)}"
@@ -71,11 +71,11 @@ def claim(run: Run) -> Claim:
 def _missing(results: Sequence[Result], level: int) -> list[str]:
     """The critical checks of a level that are unknown."""
     found = (result for result in results if result.check.level == level and result.check.critical)
-    return [result.check.id for result in found if result.verdict is Verdict.UNKNOWN]
+    return [result.check.id for result in found if result.verdict is Verdict.INVALID]
 
 
 def _passed(results: Sequence[Result], level: int) -> bool:
-    return any(result.verdict is Verdict.PASSED for result in results if result.check.level == level)
+    return any(result.verdict is Verdict.PASS for result in results if result.check.level == level)
 
 
 def _ids(results: Sequence[Result], verdict: Verdict) -> list[str]:
@@ -84,13 +84,13 @@ def _ids(results: Sequence[Result], verdict: Verdict) -> list[str]:
 
 def outcome(run: Run) -> RunOutcome:
     """How it ended; `findings` are the checks that failed, and troubles."""
-    found, failed = claim(run), _ids(run.results, Verdict.FAILED)
+    found, failed = claim(run), _ids(run.results, Verdict.FAIL)
     if failed or run.troubles or (run.ended and not run.signal):
-        verdict = Outcome.FAIL
+        verdict = Verdict.FAIL
     elif run.signal:
-        verdict = Outcome.ABORTED
+        verdict = Verdict.ABORTED
     else:
-        verdict = Outcome.INCOMPLETE if found.missing else Outcome.PASS
+        verdict = Verdict.INCOMPLETE if found.missing else Verdict.PASS
     return RunOutcome.of(verdict, found.words, (*failed, *run.troubles), unsafe=run.unsafe, signum=run.signal)
 
 
@@ -110,12 +110,12 @@ def as_data(run: Run, about_run: dict[str, Any]) -> dict[str, Any]:
         "conforms_at_level": found.level if found.conforms else None,
         "not_tested": list(found.untested),
         "not_shown": list(found.missing),
-        "counts": {str(verdict): run.count(verdict) for verdict in Verdict},
+        "counts": {words: run.count(verdict) for verdict, words in WORDS.items()},
         "ended_early": run.ended,
         "outputs_may_be_on": run.unsafe,
         "troubles": run.troubles,
         "checks": [check_data(result.check) | {
-            "verdict": str(result.verdict), "evidence": result.evidence, "seconds": result.seconds,
+            "verdict": WORDS[result.verdict], "evidence": result.evidence, "seconds": result.seconds,
         } for result in run.results],
     }  # fmt: skip
 

@@ -6,30 +6,30 @@ from typing import Any
 
 from bench.conform.claim import by_level, claim, looks_at
 from bench.conform.run import Run
-from bench.conform.verdicts import Verdict
+from bench.conform.verdicts import WORDS
 from bench.report.html import page
 from bench.report.words import NOT_STATED, date, labelled
+from bench.signal.verdict import Verdict
 from protocol.text import printable
 
-CLASSES = {Verdict.PASSED: "PASS", Verdict.FAILED: "FAIL", Verdict.UNKNOWN: "INVALID", Verdict.NOT_APPLICABLE: "NONE"}
-OF_CLAIM = {True: "PASS", False: "FAIL", None: "INVALID"}
+OF_CLAIM = {True: Verdict.PASS, False: Verdict.FAIL, None: Verdict.INVALID}
 
 
 def as_html(run: Run, about_run: dict[str, Any]) -> str:
     """The page: first what was not tested or not observed, then every check with its evidence."""
     found = claim(run)
-    unseen = [result for result in run.results if result.verdict is Verdict.UNKNOWN]
-    failed = [result for result in run.results if result.verdict is Verdict.FAILED]
+    unseen = [result for result in run.results if result.verdict is Verdict.INVALID]
+    failed = [result for result in run.results if result.verdict is Verdict.FAIL]
     return page(
         __package__ or "",
         "report.html.j2",
-        (_look, _prose, _shown, looks_at),
+        (_words, _prose, _shown, looks_at),
         run=run,
         claim=found,
         claim_look=OF_CLAIM[found.conforms],
         name=about_run["name"],
         about=_about(about_run),
-        counts=[(verdict, count) for verdict in Verdict if (count := run.count(verdict))],
+        counts=[(verdict, count) for verdict in WORDS if (count := run.count(verdict))],
         unseen=unseen,
         failed=failed,
         levels=by_level(run.results),
@@ -42,8 +42,8 @@ def _about(about_run: dict[str, Any]) -> list[tuple[str, str]]:
     return [labelled(key, value) for key, value in (told | {"started": date(told["started"])}).items()]
 
 
-def _look(verdict: Verdict) -> str:
-    return CLASSES[verdict]
+def _words(verdict: Verdict) -> str:
+    return WORDS[verdict]
 
 
 def _shown(text: object) -> str:

@@ -1,7 +1,6 @@
-"""Running the checks of a level on a device, and restoring it: streams, parameters, outputs off.
+"""Running the checks of a level on a device, in a `Rig`, which restores it: streams, parameters, outputs off.
 
-From level 3 on outputs go on, after consent; every way out sends STOP and waits for the heartbeat that shows them off.
-A device that does not stop when told is not energised again.
+From level 3 on outputs go on, after consent. A device that does not stop when told is not energised again.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 
 from bench.conform.bus import BusLine
@@ -18,19 +17,22 @@ from bench.conform.checks import Carrier, Check, Result
 from bench.conform.device import Device, NotAtRest
 from bench.conform.levels import MOTION, STATES
 from bench.conform.probe import ByteLine, Line, NoAnswer, Probe
-from bench.conform.verdicts import Ended, Verdict
+from bench.conform.verdicts import Ended
 from bench.device.client import Client
-from bench.device.node import Node
-from bench.errors import BenchError, DriveFailed, Interrupted, NodeError, OutputsMayBeOn
+from bench.device.node import DRIVE, Node
+from bench.errors import Interrupted, NodeError
 from bench.rig.consent import check_limits, require_consent
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import undisturbed
-from bench.rig.rest import require_rest
+from bench.rig.lock import alone_on
+from bench.rig.restore import failures_of, put_streams_back
+from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
+from bench.signal.verdict import Verdict
 from protocol.canmap.host import CanWire
 from protocol.errors import HbpError, LinkError, NoReply, Refused, RemoteProtocolError
 from protocol.links import Link
-from protocol.messages import Empty, HelloReply, StreamInfo, StreamReply, StreamSet, StreamStart
+from protocol.messages import HelloReply, StreamInfo
 from protocol.payload import PayloadError
 
 
@@ -68,34 +70,57 @@ class Run:
 Told = Callable[[Result], None]
 
 
-def conform(link: Link, options: Options, screen: Screen, confirm: Callable[[str], bool] | None, told: Told) -> Run:
-    """Run all checks up to a level on the device that an open link leads to; `told` gets each result as it comes.
+def conform(
+    link: Callable[[], Link],
+    options: Options,
+    screen: Screen,
+    confirm: Callable[[str], bool] | None,
+    told: Told,
+) -> Run:
+    """Run all checks up to a level on the device that a link leads to; `told` gets each result as it comes.
 
     `confirm` asks a person, None where there is nobody. Raises BenchError and HbpError for what the user can fix,
     before anything is energised; what goes wrong later is in the result.
     """
-    client = Client(link)
-    forbidden, streams = "", []
-    node = None
-    try:
-        node = Node(client, client.connect().node)
-        with suppress(HbpError):
-            streams = node.configured_streams()
-        _prepare(node, options, confirm)
-    except (NodeError, RemoteProtocolError, Refused, NoReply) as error:
-        if node is None and isinstance(error, NoReply):
-            raise
-        forbidden = str(error)  # what it says of itself is invalid: the checks that are possible still run
-    line = _line(link)
-    device = Device(Probe(link, line, options.idle), options.level, options.speed_rpm)
-    try:
-        device.hello = device.probe.connect()
-    except Ended as ended:
-        raise NoReply(f"{options.target}: {ended}") from None
-    run = Run(options, device.hello, line.bus)
-    with ExitStack() as stack:
-        stack.callback(_leave, link, run, streams)
-        _Course(run, device, screen, told, forbidden).go()
+    forbidden = ""
+
+    def found(client: Client, target: str) -> Node:
+        """The device, whatever it says of itself."""
+        nonlocal forbidden
+        try:
+            return Node(client, client.connect().node)
+        except (RemoteProtocolError, Refused) as error:
+            forbidden = str(error)
+            return Node(client, DRIVE)
+
+    envelope = Envelope(options.speed_rpm if options.level >= MOTION else 0.0)
+    held = alone_on(options.target)
+    with Rig(Plan(link, options.target, envelope=envelope, goes_on=True, held=held, find=found)) as rig:
+        if not forbidden:
+            streams: list[StreamInfo] = []
+            try:
+                with suppress(HbpError):
+                    streams = rig.drive.node.configured_streams()
+                _prepare(rig, options, confirm)
+            except (NodeError, RemoteProtocolError, Refused, NoReply) as error:
+                forbidden = str(error)  # the checks that are possible still run
+            rig.at_end.append(lambda: put_streams_back(rig.drive.node, streams))
+        client = rig.client
+        line = _line(client.link)
+        device = Device(Probe(client.link, line, options.idle), options.level, options.speed_rpm)
+        try:
+            device.hello = device.probe.connect()
+        except Ended as ended:
+            raise NoReply(f"{options.target}: {ended}") from None
+        run = Run(options, device.hello, line.bus)
+        try:
+            _Course(run, rig, device, screen, told, forbidden).go()
+        finally:  # another host has talked on this link
+            rig.signal.uninterrupted(lambda: failures_of([client.connect]))
+        rig.finish()
+        run.unsafe, run.signal = rig.unsafe, rig.signal.number
+        run.troubles += [f"at the end: {rig.tripped}"] if rig.tripped else []
+        run.troubles += [f"not restored: {rig.not_restored}"] if rig.not_restored else []
     return run
 
 
@@ -106,20 +131,14 @@ def _line(link: Link) -> Line:
     return BusLine(wire.rates, wire.node, wire.extended, wire.host)
 
 
-# -- before -----------------------------------------------------------------------------------------------------------
-
-
-def _prepare(node: Node, options: Options, confirm: Callable[[str], bool] | None) -> None:
+def _prepare(rig: Rig, options: Options, confirm: Callable[[str], bool] | None) -> None:
     """Refuse what is not at rest and, where outputs are to go on, ask. Raises BenchError and HbpError."""
-    energises = options.level >= STATES
+    energises, node, envelope = options.level >= STATES, rig.drive.node, rig.plan.envelope
     with nullcontext() if energises else suppress(NodeError):  # one that says nothing may be looked at
-        require_rest(node, options.target, or_fault=not energises)
-    if not energises:
-        return
-    envelope = Envelope(options.speed_rpm if options.level >= MOTION else 0.0)
-    if options.level >= MOTION:
+        rig.require_rest(or_fault=not energises)
+    if energises:
         check_limits(node, envelope)
-    require_consent(node, options.target, envelope, options.yes, confirm)
+        require_consent(node, options.target, envelope, options.yes, confirm)
 
 
 # -- meanwhile --------------------------------------------------------------------------------------------------------
@@ -128,8 +147,9 @@ def _prepare(node: Node, options: Options, confirm: Callable[[str], bool] | None
 class _Course:
     """One check after the other."""
 
-    def __init__(self, run: Run, device: Device, screen: Screen, told: Told, forbidden: str) -> None:
+    def __init__(self, run: Run, rig: Rig, device: Device, screen: Screen, told: Told, forbidden: str) -> None:
         self._run = run
+        self._rig = rig
         self._device = device
         self._screen = screen
         self._told = told
@@ -148,15 +168,15 @@ class _Course:
                 self._add(self._one(left[0]))
                 left = left[1:]
             except (KeyboardInterrupt, Interrupted) as interrupt:
-                run.signal = interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
-                run.ended = f"ended by {signal.Signals(run.signal).name}"
+                self._rig.signal.remember(interrupt)
+                run.ended = f"ended by {signal.Signals(self._rig.signal.number).name}"
             except LinkError as error:
                 run.ended = f"link lost: {error}"
             except NoAnswer as error:
                 run.ended = f"the device no longer answers: {error}"
             if run.ended:
                 for check in left:
-                    self._add(Result(check, Verdict.UNKNOWN, f"not run: {run.ended}"))
+                    self._add(Result(check, Verdict.INVALID, f"not run: {run.ended}"))
                 return
 
     def _add(self, result: Result) -> None:
@@ -169,26 +189,27 @@ class _Course:
         began = probe.now()
         bus = probe.line.bus
         if check.carrier is not Carrier.ANY and bus != (check.carrier is Carrier.BUS):
-            return Result(check, Verdict.NOT_APPLICABLE, f"only on {check.carrier}")
+            return Result(check, Verdict.SKIPPED, f"only on {check.carrier}")
         if check.needs >= STATES and self._forbidden:
-            return Result(check, Verdict.UNKNOWN, f"not tried: {self._forbidden}")
+            return Result(check, Verdict.INVALID, f"not tried: {self._forbidden}")
         if check.id != "link.hello":
             device.hello = probe.connect()
-        verdict, evidence = Verdict.PASSED, ""
-        self._run.energised |= check.needs >= STATES
+        verdict, evidence = Verdict.PASS, ""
+        if check.needs >= STATES:
+            self._rig.drive.on = self._run.energised = True
         try:
             evidence = check.body(device)
         except Ended as ended:
             verdict, evidence = ended.verdict, str(ended)
         except PayloadError as error:
-            verdict, evidence = Verdict.FAILED, str(error)
+            verdict, evidence = Verdict.FAIL, str(error)
         except NotAtRest as error:
-            verdict, evidence = Verdict.UNKNOWN, str(error)
+            verdict, evidence = Verdict.INVALID, str(error)
         finally:
             if check.needs >= STATES:
                 with undisturbed():
                     self._calm(check)
-        if check.critical and verdict is Verdict.FAILED:
+        if check.critical and verdict is Verdict.FAIL:
             self._forbidden = self._forbidden or f"{check.id} failed"
         return Result(check, verdict, evidence, probe.now() - began)
 
@@ -201,42 +222,3 @@ class _Course:
         if trouble:
             self._run.troubles.append(f"after {check.id}: {trouble}")
             self._forbidden = self._forbidden or f"after {check.id} {trouble}"
-
-
-# -- after ------------------------------------------------------------------------------------------------------------
-
-
-def _leave(link: Link, run: Run, streams: list[StreamInfo]) -> None:
-    """Outputs off where they may have been on, streams as they were; whatever happens."""
-    with undisturbed():
-        client = Client(link)
-        try:
-            node = Node(client, client.connect().node)
-        except HbpError as error:
-            if run.energised:
-                run.unsafe = f"OUTPUTS MAY STILL BE ON: cut the power. STOP was not received: {error}"
-            return
-        if run.energised:
-            _stop(node, run)
-        try:
-            node.stop_streams()
-            _restore(node, streams)
-        except (HbpError, BenchError) as error:
-            run.troubles.append(f"not restored: streams: {error}")
-
-
-def _stop(node: Node, run: Run) -> None:
-    try:
-        node.stop()
-    except OutputsMayBeOn as error:
-        run.unsafe = str(error)
-    except (DriveFailed, HbpError) as error:
-        run.troubles.append(f"at the end: {error}")
-
-
-def _restore(node: Node, streams: list[StreamInfo]) -> None:
-    for s in streams:
-        asked = StreamSet(s.stream, s.event, s.decimation, s.max_latency_ms, s.channels)
-        node.client.request(asked, node.number, StreamReply)
-        if s.running:
-            node.client.request(StreamStart(1 << s.stream), node.number, Empty)

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from bench.signal.verdict import Verdict
 
-
-class Verdict(StrEnum):
-    """How a check ended."""
-
-    PASSED = "passed"
-    FAILED = "failed"
-    UNKNOWN = "unknown"
-    """What it looks for was not observed."""
-    NOT_APPLICABLE = "not applicable"
-    """The device or the link lacks this feature."""
+WORDS = {
+    Verdict.PASS: "passed", Verdict.FAIL: "failed", Verdict.INVALID: "unknown", Verdict.SKIPPED: "not applicable",
+}  # fmt: skip
+"""Unknown: what a check looks for was not observed. Not applicable: the device or the link lacks this feature."""
 
 
 class Ended(Exception):
@@ -25,16 +19,16 @@ class Ended(Exception):
 class Failed(Ended):
     """The device does not do what SPEC demands."""
 
-    verdict = Verdict.FAILED
+    verdict = Verdict.FAIL
 
 
 class Unknown(Ended):
     """What would decide was not observed."""
 
-    verdict = Verdict.UNKNOWN
+    verdict = Verdict.INVALID
 
 
 class NotApplicable(Ended):
     """The device or the link lacks this feature."""
 
-    verdict = Verdict.NOT_APPLICABLE
+    verdict = Verdict.SKIPPED

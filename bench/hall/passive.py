@@ -11,7 +11,6 @@ from contextlib import suppress
 from bench.hall.turning import ENOUGH, Turned, electrical_turns
 from bench.rig.rig import Rig
 from protocol.descriptor import Channel
-from protocol.errors import HbpError
 
 WATCHED = ("hall", "status", "theta_enc", "omega_enc", "i_a", "i_b")
 FURTHER = "at least one revolution each way, and allow more time (--duration)"
@@ -39,6 +38,4 @@ def watch(rig: Rig, seconds: float, progress: Callable[[str], None]) -> Turned:
             progress(f"turn the shaft by hand: {turned}, {left:.0f} s left")
             if min(up, down) >= ENOUGH:
                 break
-    with suppress(HbpError):
-        rig.drive.node.stop_streams()
     return Turned(rig.capture(first, rig.recorder.newest), "by hand", further=FURTHER)

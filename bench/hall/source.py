@@ -22,7 +22,7 @@ from bench.hall.trace import Recorded
 from bench.hall.turning import Turned, Turner
 from bench.replay.estimators import unfit
 from bench.rig.connection import SIM, open_target
-from bench.rig.consent import check_limits, require_agreement
+from bench.rig.consent import at_most, check_limits, require_consent
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.lock import alone_on
@@ -110,35 +110,33 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
     still = options.passive or options.reads
     operator, load = options.operator or station.operator, "none" if still else "node"
     settings = Settings(station=station.station, operator=operator, config=options.config, load=load)
+    current = options.current_a
     plan = Plan(
         lambda: open_target(options.source, settings, "hall"),
         options.source,
         settings,
-        Envelope(options.speed_rpm, CURRENT if options.current_a is None else options.current_a),
+        Envelope(options.speed_rpm, CURRENT if current is None else current),
         virtual=options.source == SIM,
         passive=still,
+        held=alone_on(options.source),
     )
     recording = Recording(options.save, {"test": "hall"})
-    with signals_as_exceptions(), alone_on(options.source):
-        if not still:
-            require_agreement(options.source, settings, lambda _: plan.envelope, options.yes, confirm, options.needs)
-        with Rig(plan) as rig:
-            rig.require(*options.needs)
-            if options.reads:
-                rig.prepare([lessons.channels(rig)], recording)
-                yield Source(Turned(lessons.read(rig), "not turned"), rig.drive.node)
-                return
-            if options.passive:
-                rig.prepare([watched(rig)], recording)
-                turned = watch(rig, options.duration, screen.progress)
-                rig.drive.node.stop_streams()  # nobody reads them while somebody measures
-                yield Source(turned, rig.drive.node)
-                return
+    with signals_as_exceptions(), Rig(plan) as rig:
+        drive = rig.drive.node
+        rig.require(*options.needs)
+        if options.reads:
+            rig.prepare([lessons.channels(rig)], recording)
+            turned = Turned(lessons.read(rig), "not turned")
+        elif options.passive:
+            rig.prepare([watched(rig)], recording)
+            turned = watch(rig, options.duration, screen.progress)
+        else:
+            check_limits(drive, Envelope(options.speed_rpm, math.inf if current is None else current))
+            rig.require_rest()
+            require_consent(drive, options.source, at_most(drive, plan.envelope), options.yes, confirm)
             rig.prepare(recording=recording, needed=frozenset(STATOR))
             if options.by == "filter" and rig.samples is not None and (why := unfit(rig.samples)):
                 raise BenchError(f"the Kalman filter cannot run on this stream: {why}")
-            check_limits(rig.drive.node, Envelope(options.speed_rpm, options.current_a or math.inf))
-            turner = Turner(rig, options.speed_rpm, screen.progress)
-            turned = turner.spin()
-            rig.drive.node.stop_streams()
-            yield Source(turned, rig.drive.node)
+            turned = Turner(rig, options.speed_rpm, screen.progress).spin()
+        drive.stop_streams()  # nobody reads them while somebody measures
+        yield Source(turned, drive)

@@ -13,10 +13,10 @@ from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 
 from bench.device.bus import BusMeter
-from bench.device.client import WATCHDOG, Sink
+from bench.device.client import Sink
 from bench.device.node import LOAD
 from bench.device.simulator import EmbeddedDrive
-from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, OutputsMayBeOn, RecordingError
+from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, RecordingError
 from bench.files import check_output
 from bench.live.gathered import Gathered
 from bench.live.manoeuvres import Act, timed
@@ -27,7 +27,7 @@ from bench.live.triggers import Condition, Triggers
 from bench.record.ring import Stored
 from bench.rig.consent import check_limits, require_consent
 from bench.rig.envelope import Envelope
-from bench.rig.interrupts import signals_as_exceptions, undisturbed
+from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.lock import alone_on
 from bench.rig.needs import NEEDS, require
 from bench.rig.outcome import RunOutcome
@@ -38,7 +38,6 @@ from bench.rig.streams import decimation_of
 from bench.signal.sources import source_number, source_short
 from bench.signal.units import RPM, pole_pairs
 from bench.signal.verdict import Verdict
-from protocol.codes import fault_names
 from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError
 from protocol.links import open_link
@@ -337,10 +336,7 @@ class LiveRun:
 
     def _outcome(self, lost: str) -> RunOutcome:
         """Of a run that is over, but for its recording; `lost`: why the link is, if it is."""
-        rig, stats, signum = self.rig, self._stats, self.rig.signal.number
-        if self.acts and stats.faults and not rig.tripped:  # in the last moment
-            why = rig.drive.starved(rig.drive.parameters.get("watchdog", WATCHDOG))
-            rig.tripped = f"the drive tripped: {', '.join(fault_names(stats.faults))}{why}"
+        rig, signum = self.rig, self.rig.signal.number
         verdict, words = Verdict.FAIL, lost
         findings: tuple[str, ...] = (lost,)
         if not lost and rig.tripped:
@@ -433,15 +429,8 @@ def run(
             target = rig.client.link.name
             rig.plan = replace(plan, target=target)
         live = LiveRun(options, rig, target, screen)
-        try:
-            live.look()
-            stream = live.configure()
-            live.agree(confirm)
-            live.record(stream)
-            return live.go(report, hold)
-        except BaseException as error:
-            with undisturbed():
-                rig.switch_off()  # in case a second signal came before STOP
-            if rig.unsafe:
-                raise OutputsMayBeOn(f"{rig.unsafe} ({error or type(error).__name__})") from error
-            raise
+        live.look()
+        stream = live.configure()
+        live.agree(confirm)
+        live.record(stream)
+        return live.go(report, hold)

@@ -39,6 +39,7 @@ class Drive(Machine):
     """Node `node`, within `envelope`."""
 
     title = "the drive"
+    advice = "; compute after drive.stop(), not while the drive runs"
     starts_by_itself = False
     """Whether a setpoint starts it, as it does in a notebook."""
 
@@ -196,28 +197,30 @@ class Drive(Machine):
         if self.envelope.current < self.parameters.get("i_max", -math.inf):
             self._set("i_max", self.envelope.current)
 
-    def trouble(self, watchdog: float = WATCHDOG) -> str:
-        """See `Machine.trouble`; a motor that runs away is one, too."""
-        return super().trouble(watchdog) or (f" {self.runs_away}" if self.on and self.runs_away else "")
+    @property
+    def watchdog(self) -> float:  # type: ignore[override]
+        """s that it waits for ALIVE."""
+        return self.parameters.get("watchdog", WATCHDOG)
 
-    def look(self) -> None:
-        """Raise DriveTripped if the drive has tripped against expectation, or does not run as it should.
-
-        RanAway if its motor has run away, which is switched off.
-        """
+    def trouble(self) -> str:
+        """See `Machine.trouble`: a trip against expectation, on or off, and a motor that runs away."""
         if self._faults & ~self._expected and not self._may_trip:
             self._told |= self._faults
-            starved = self.starved(self.parameters.get("watchdog", WATCHDOG))  # if the reason is here
-            advice = "; compute after drive.stop(), not while the drive runs" if starved else ""
-            raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}{starved}{advice}")
-        self._stop_runaway()
-        if why := self.node.astray():
-            raise DriveTripped(f"the drive: {why}")
+            return self.tripped()
+        if self.on and self.runs_away:
+            return f"{self.title} {self.runs_away}"
+        return f"{self.title}: {why}" if (why := self.node.astray()) else ""
 
-    def look_at_the_end(self) -> None:
-        """Raise DriveTripped for a trip against expectation that none was raised for yet."""
-        if self._faults & ~self._told:
-            self.look()
+    def look(self) -> None:
+        """Raise DriveTripped for `trouble`; RanAway if the motor has run away, which is switched off."""
+        words = self.trouble()
+        self._stop_runaway()
+        if words:
+            raise DriveTripped(words)
+
+    def untold(self) -> str:
+        """A trip against expectation that nothing was said of yet."""
+        return self.trouble() if self._faults & ~self._told else ""
 
     def restore(self, clear_faults: bool = True) -> None:
         """Of a stopped drive: faults of this test cleared, every parameter as it was before.

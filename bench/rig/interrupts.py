@@ -103,22 +103,32 @@ def _again(number: int) -> None:
     _thread.start_new_thread(send, ())
 
 
+def signal_of(interrupt: BaseException) -> int:
+    """The number of the signal that came as this exception: KeyboardInterrupt or Interrupted."""
+    return interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
+
+
 class FirstSignal:
     """The number of the first signal that came in a run that goes on to its regular end all the same; 0: none."""
 
     def __init__(self) -> None:
         self.number = 0
+        self.interrupt: BaseException | None = None
+        """What it came as: KeyboardInterrupt or Interrupted."""
+        self.came: list[int] = []
+        """Signals that have come in what is, or was last, not to be interrupted."""
 
     def remember(self, interrupt: BaseException) -> None:
-        """That came as this exception: KeyboardInterrupt or Interrupted."""
-        self.number = self.number or (interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT)
+        """That came as this exception."""
+        self.interrupt = self.interrupt or interrupt
+        self.number = self.number or signal_of(interrupt)
 
     def uninterrupted(self, action: Callable[[], object]) -> None:
         """Do it undisturbed, once. A signal that comes before, meanwhile or after is remembered."""
         begun = False
         while not begun:
             try:
-                with undisturbed():
+                with undisturbed() as self.came:
                     begun = True
                     action()
             except (KeyboardInterrupt, Interrupted) as interrupt:

@@ -101,7 +101,7 @@ class NodeLoad(Machine):
         if self.on:
             self.look()
             return
-        self._armed = False
+        self._armed = self._told = False
         self.energise()
         self._armed = True
 
@@ -114,30 +114,27 @@ class NodeLoad(Machine):
         """STOP, and every parameter as it was before; BenchError if it has tripped and nobody was told."""
         try_all([self._stop, self.put_back])
 
-    def look(self) -> None:
-        """Raise BenchError if it has tripped while it was on, or does not run as it should."""
-        if self.on and self.node.state == DriveState.FAULT:
-            self._told = True
-            raise self._tripped()
-        if self.on and (why := self.node.astray()):
-            raise BenchError(f"the load machine: {why}")
-
     def _stop(self) -> None:
         self.forced = None
         if not self.on:
             return
-        state = self.stop()
-        told, self._told = self._told, False
+        told, state = self._told, self.stop()
         if state == DriveState.FAULT and self._armed:  # a fault that was there before is not this test's to clear
             self.node.next_heartbeat()  # it names the fault
-            tripped = self._tripped()
+            tripped = self.tripped()
             self.node.clear_faults()
             if not told:
-                raise tripped
+                raise BenchError(tripped)
 
-    def _tripped(self) -> BenchError:
-        where = f"node {self.node.number} on {self.node.client.link.name}"
-        return BenchError(f"the load machine, {where}, tripped: {self.node.fault_text()}")
+    @property
+    def name(self) -> str:
+        """See `Machine.name`."""
+        return f"{self.title}, node {self.node.number} on {self.node.client.link.name},"
+
+    def tripped(self) -> str:
+        """See `Machine.tripped`; whoever asks, tells it."""
+        self._told = True
+        return super().tripped()
 
 
 class PersonLoad:

@@ -10,7 +10,7 @@ from bench.errors import BenchError, OutputsMayBeOn
 from bench.rig.envelope import Envelope
 from bench.rig.restore import not_put_back, put_back
 from bench.signal.units import RPM
-from protocol.codes import Fault
+from protocol.codes import Fault, fault_names
 from protocol.messages import DriveState
 
 
@@ -18,6 +18,10 @@ class Machine:
     """Node `node`, within `envelope`."""
 
     title = "the machine"
+    watchdog = WATCHDOG
+    """s that it waits for ALIVE."""
+    advice = ""
+    """What to do about a watchdog that was not fed, to follow its words."""
     place = ""
     """Where its parameters are, after "not restored", if it is not the drive."""
     agreed: Callable[[], None] = staticmethod(lambda: None)
@@ -34,6 +38,11 @@ class Machine:
         return f"{self.title} {self.state.name}"
 
     @property
+    def name(self) -> str:
+        """It, and where it is, to begin a sentence with."""
+        return self.title
+
+    @property
     def state(self) -> DriveState:
         """By the last heartbeat."""
         return self.node.state
@@ -47,34 +56,39 @@ class Machine:
 
     def stop(self) -> DriveState:
         """Outputs off, from any state, and seen to be off. Raises DriveFailed or OutputsMayBeOn."""
-        was, self.on = self.on, False
+        self.on = False
         try:
             return self.node.stop()
         except OutputsMayBeOn:
-            self.on = was
+            self.on = True
             raise
 
-    def trouble(self, watchdog: float = WATCHDOG) -> str:
-        """Why it does not run as it should, while it is on, to follow `title`; empty while it does.
+    def trouble(self) -> str:
+        """Why it does not run as it should, while it is on; empty while it does."""
+        if self.on and self.node.state == DriveState.FAULT:
+            return self.tripped()
+        return f"{self.title}: {why}" if (why := self.node.astray()) else ""
 
-        `watchdog`: s that it waits for ALIVE.
-        """
-        if not self.on:
-            return ""
-        if self.node.state == DriveState.FAULT:
-            return f" tripped: {self.node.fault_text()}{self.starved(watchdog)}"
-        return f": {why}" if (why := self.node.astray()) else ""
+    def look(self) -> None:
+        """Raise BenchError for `trouble`."""
+        if words := self.trouble():
+            raise BenchError(words)
 
-    def starved(self, watchdog: float = WATCHDOG) -> str:
-        """Why its watchdog has run out, if it has and the reason is here, as the end of a sentence."""
-        client = self.node.client
-        if not client.faults.get(self.node.number, Fault(0)) & Fault.WATCHDOG:
-            return ""
-        return f": {why}" if (why := client.starved(self.node.number, watchdog)) else ""
+    def tripped(self) -> str:
+        """That it has, by which faults, and why its watchdog has run out, if it has and the reason is here."""
+        client, number = self.node.client, self.node.number
+        faults = client.faults.get(number, Fault(0))
+        words = f"{self.name} tripped: {', '.join(fault_names(faults))}"
+        unfed = client.starved(number, self.watchdog) if faults & Fault.WATCHDOG else ""
+        return f"{words}: {unfed}{self.advice}" if unfed else words
 
     def put_back(self) -> None:
-        """Every parameter as it was before. All of it is tried; the first error is raised at the end."""
-        put_back(self.node, self._before)
+        """Every parameter as it was before. All of it is tried; the first error is raised at the end.
+
+        Not while outputs may still be on: limits that were lowered stay as they are then.
+        """
+        if not self.on:
+            put_back(self.node, self._before)
 
     def not_put_back(self) -> str:
         """Parameters that are not as they were before, as a part of a sentence; empty where all are."""

@@ -1,4 +1,4 @@
-"""How a test ends: every step is tried whatever another raises, and parameters are restored. Nothing here energises."""
+"""How a run ends: every step is tried whatever another raises, and a node gets back what it had. Nothing energises."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
 from bench.device.node import Node
+from protocol.messages import Empty, StreamInfo, StreamReply, StreamSet, StreamStart
 
 
 def failures_of(steps: Iterable[Callable[[], object]]) -> list[Exception]:
@@ -36,6 +37,16 @@ def put_back(node: Node, before: dict[str, float]) -> None:
         del before[name]
 
     try_all([partial(set_one, name) for name in before])
+
+
+def put_streams_back(node: Node, before: Iterable[StreamInfo]) -> None:
+    """End the streams of `node`, and configure and start again those that there were `before`. Raises HbpError."""
+    node.stop_streams()
+    for told in before:
+        asked = StreamSet(told.stream, told.event, told.decimation, told.max_latency_ms, told.channels)
+        node.client.request(asked, node.number, StreamReply)
+        if told.running:
+            node.client.request(StreamStart(1 << told.stream), node.number, Empty)
 
 
 def not_put_back(before: Mapping[str, float], where: str = "") -> str:

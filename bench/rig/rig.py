@@ -1,23 +1,24 @@
 """A bench at work: drive, load, streams, recording; and the end of it, with everything off.
 
-A `Rig` is opened for a run and closed after it, on a simulated drive in virtual time as on hardware. `close` stops
-what may turn, puts parameters back and finishes the recording, whatever happened before; it raises what went wrong
-only when all of that has been tried. It never waits without polling: what turns is watched, and its watchdog fed.
+A `Rig` is opened for a run and closed after it, on a simulated drive in virtual time as on hardware. However a run
+ends, `finish` stops what may turn and puts back what was changed, and tells what could not be done when all of that
+has been tried; `close` gives back recording, link and lock after it, and raises what was told to nobody. A rig never
+waits without polling: what turns is watched, and its watchdog fed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Self
 
-from bench.device.client import POLL, WATCHDOG, Client, Sink
-from bench.device.node import ClockFit
+from bench.device.client import POLL, Client, Sink
+from bench.device.node import ClockFit, Node
 from bench.device.safety import is_off, says
-from bench.errors import BenchError, DriveFailed, Interrupted, OutputsMayBeOn
+from bench.errors import BenchError, DriveFailed, OutputsMayBeOn
 from bench.record.ring import FOR_EVER, Stored
 from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
 from bench.rig.drive import Drive, DriveTripped
@@ -66,10 +67,15 @@ class Plan:
     """None where nobody can be asked."""
     virtual: bool = False
     """Time passes as fast as it can be computed."""
+    find: Callable[[Client, str], Node] = find_drive
+    """What finds, on a link, the drive of a target."""
     reconnect: float = 0.0
     """s that a lost link is waited for."""
     goes_on: bool = False
-    """Whether a run goes on that cannot turn its motor any more: what lets it go is told, not raised."""
+    """Whether a run goes on that cannot turn its motor any more: what lets it go, and how it ends, is told, not raised.
+
+    Faults stay latched then, for somebody to look at.
+    """
     passive: bool = False
     """Nothing is energised, and state, faults and parameters are left alone."""
     held: AbstractContextManager[object] = field(default_factory=nullcontext)
@@ -109,35 +115,40 @@ class Rig:
         """The drive's parameters before the run."""
         self.outputs: Outputs | None = None
         self.tripped = ""
-        """Why the motor was let go, in a run that goes on."""
+        """Why the motor was let go, or stopped by itself; empty as long as that was raised."""
         self.unsafe = ""
-        """Why outputs may still be on, likewise."""
+        """Why outputs may still be on."""
         self.not_restored = ""
-        """What is not as it was before, and why, likewise."""
+        """What is not as it was before, and why."""
         self.signal = FirstSignal()
-        """That came to a run that goes on."""
+        """That came to a run that goes on, or to the end of any."""
         self.clock: ClockFit | None = None
         """Of this boot of the drive, in a run that goes on."""
         self._next_clock = 0.0
         self._rebooted: set[int] = set()
         self._prepared = False
-        self._signals: list[int] | None = None  # that came while it is closed; None before that
+        self._taken = False
+        self._failures: list[Exception] | None = None  # of the end; None before it
         with ExitStack() as stack:
             stack.enter_context(plan.held)
             link = plan.link()
             stack.callback(link.close)
             self.client = Client(link, plan.reconnect)
             self.client.on_reboot = self._rebooted.add
-            node = find_drive(self.client, plan.target)
+            node = plan.find(self.client, plan.target)
             self.drive = Drive(node, plan.envelope)
+            if plan.goes_on:
+                self.drive.advice = ""  # nobody computes here
             self.recorder = Recorder(node.number)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.close()
+        if self.unsafe and error is not None and self.plan.goes_on:
+            raise OutputsMayBeOn(f"{self.unsafe} ({error or type(error).__name__})") from error
 
     # -- before anything moves ----------------------------------------------------------------------------------
 
@@ -156,26 +167,23 @@ class Rig:
             self.learn()
             if not self.plan.passive:
                 self.load = self._find_load()
-            self.at_end.append(self.load.off)
             self.recorder.expect(self.configure(channels or self._most_channels(needed), slower=True))
             self.record_to(recording or Recording(), [self.recorder])
             self.drive.node.start_streams()
             self.wait(2 * POLL)
-        except BaseException:
-            self._stack.close()
-            raise
-        self._prepared = True
-        if not self.plan.passive:
-            try:
+            self._prepared = True
+            if not self.plan.passive:
                 self.drive.limit_current()
-            except BaseException:
-                self.close()
-                raise
+        except BaseException:
+            failures_of([self.finish, self._stack.close])  # why it is closed matters more
+            self._failures = []
+            raise
         return self
 
     def take(self, or_fault: bool = False) -> None:
         """Begin to use the drive, if it is free: see `require_rest`. Streams that somebody has left are stopped."""
         self.require_rest(or_fault)
+        self._taken = True
         self.drive.node.stop_streams()
 
     def learn(self) -> None:
@@ -285,98 +293,97 @@ class Rig:
         """What has a watchdog: the drive, and a load that is a node."""
         return [self.drive, *([self.load] if isinstance(self.load, NodeLoad) else [])]
 
-    def off(self) -> list[Exception]:
-        """Outputs off, and seen to be off, of all that is on; what could not be done, in that order."""
-        return failures_of(machine.stop for machine in self.machines if machine.on)
-
     def let_go(self, why: str) -> None:
-        """Of a run that goes on: switch off what is on, and tell why."""
-        self.tripped = why
-        self.client.note(why, "ERROR")
-        self.switch_off()
-
-    def switch_off(self) -> None:
-        """Of a run that goes on: outputs off, and seen to be off, of all that is on; `unsafe` says where not.
+        """Of a run that goes on: outputs off, and seen to be off, of all that is on, and tell why.
 
         Nothing keeps a node from being told; what a sink raises meanwhile is raised when all have been.
         """
-        failure: Exception | None = None
-        for error in () if self.unsafe else self.off():
-            match error:
-                case OutputsMayBeOn():
-                    self.unsafe = self.unsafe or str(error)
-                    self.client.note(str(error), "CRITICAL")
-                case DriveFailed():
-                    self.tripped = self.tripped or str(error)
-                    self.client.note(str(error), "ERROR")
-                case _:  # of a sink: the outputs were seen to be off all the same
-                    failure, self.client.sinks = failure or error, self.client.sinks[:1]
-        if failure is not None:
-            raise failure
-
-    def finish(self) -> None:
-        """Of a run that goes on: outputs off, parameters as they were, streams ended. No signal gets in between."""
-        self.signal.uninterrupted(self.switch_off)
-        self.signal.uninterrupted(self._restore)
-        with suppress(HbpError):
-            self.signal.uninterrupted(self.drive.node.stop_streams)
-
-    def _restore(self) -> None:
-        """Not in a drive whose outputs may still be on: it keeps its lowered limits."""
-        failures = [] if self.unsafe else failures_of([self.drive.put_back])
-        words = [str(failure) for failure in failures] + [self.drive.not_put_back().removeprefix("; ")]
-        self.not_restored = "; ".join(filter(None, words))
-        if self.not_restored:
-            self.client.note(self.not_restored, "ERROR")
+        self.tripped = why
+        self.client.note(why, "ERROR")
+        self._tell(failures_of(machine.stop for machine in self.machines if machine.on))
 
     def rest(self) -> None:
-        """Off at once what has a watchdog. What cannot be done is told by `close`, which tries again."""
+        """Off at once what has a watchdog. What cannot be done is told by `finish`, which tries again."""
         with undisturbed():
             failures_of([self.drive.stop, *([self.load.off] if isinstance(self.load, NodeLoad) else [])])
 
+    def finish(self) -> None:
+        """The end, once: all off, and seen to be off, everything as it was, streams ended. No signal gets in between.
+
+        All of it is tried, whatever of it cannot be done; `tripped`, `unsafe` and `not_restored` tell that. A drive
+        whose outputs may still be on keeps its lowered limits. What a sink raises meanwhile is raised at the end.
+        """
+        if self._failures is None:
+            self._failures = []
+            self.signal.uninterrupted(self._finish)
+
+    def _finish(self) -> None:
+        drive, passive, tells = self.drive, self.plan.passive, self.plan.goes_on
+        ours = self._prepared and not passive
+        off = failures_of([drive.stop] if drive.on or ours else [])
+        stopped = not off
+        if stopped and self._taken and not passive and (late := drive.untold()):
+            self.tripped = self.tripped or late
+        off += failures_of([self.load.off])
+        restored = failures_of([*self.at_end, partial(drive.restore, clear_faults=ours and stopped and not tells)])
+        streams = failures_of([drive.node.stop_streams] if self._taken else [])
+        if not (passive or tells):
+            restored += streams
+        self._failures = off + restored
+        left = "".join(machine.not_put_back() for machine in self.machines)
+        self.not_restored = "; ".join(filter(None, [*map(str, restored), left.removeprefix("; ")]))
+        self.unsafe = ""  # but by its last STOP
+        self._tell(off)
+
+    def _tell(self, failures: list[Exception]) -> None:
+        """What could not be switched off as it should; of a run that goes on, raise what else happened, in a sink."""
+        other: Exception | None = None
+        for failure in failures:
+            match failure:
+                case OutputsMayBeOn():
+                    self.unsafe = self.unsafe or str(failure)
+                case DriveFailed() if self.plan.goes_on:
+                    self.tripped = self.tripped or str(failure)
+                case _:
+                    other = other or failure
+        if not self.plan.goes_on:
+            return
+        if other is not None:
+            self.client.sinks = self.client.sinks[:1]
+        for words, level in ((self.unsafe, "CRITICAL"), (self.not_restored, "ERROR")):
+            if words:
+                self.client.note(words, level)
+        if other is not None:
+            raise other
+
     def close(self) -> None:
-        """Everything off and restored. Raises the first thing that could not be done, when all was tried.
+        """The end, as `finish` makes it, of recording, link and lock too; what was told to nobody is raised after it.
 
         It is OutputsMayBeOn where something was not seen to be off, and DriveTripped, which tells both, where the drive
         had tripped and nothing had said so yet. A signal that came meanwhile takes effect afterwards, with it as cause.
         """
-        failure: BenchError | None = None
-        try:
-            with undisturbed() as self._signals:
-                failure = self._put_back()
-        except (KeyboardInterrupt, Interrupted) as interrupt:
-            raise interrupt from failure
+        failures: list[Exception] = []
+        before = self.signal.interrupt
+        self.signal.uninterrupted(lambda: failures.extend(failures_of([self.finish, self._stack.close])))
+        failure = self._failure(failures)
+        self._prepared, self._failures = False, []
+        if before is None and self.signal.interrupt is not None:
+            raise self.signal.interrupt from failure
         if failure is not None:
             raise failure
 
-    def _put_back(self) -> BenchError | None:
-        """Try all of it; returns the first thing that could not be done."""
-        failures: list[Exception] = []
-        trip: DriveTripped | None = None
-        prepared, self._prepared = self._prepared, False
-        if not prepared:
-            failures = [] if self.unsafe else self.off()  # what can be done there was
-        elif not self.plan.passive:
-            failures = failures_of([self.drive.stop])
-            stopped = not failures
-            if stopped:
-                try:
-                    self.drive.look_at_the_end()
-                except DriveTripped as late:  # seen only when STOP was answered
-                    trip = late
-            restore = partial(self.drive.restore, clear_faults=stopped)
-            failures += failures_of([*self.at_end, restore, self.drive.node.stop_streams])
-        else:
-            with suppress(HbpError):
-                self.drive.node.stop_streams()
-        failures += failures_of([self._stack.close])
+    def _failure(self, failures: list[Exception]) -> Exception | None:
+        """What `close` raises, where these things happened in it."""
+        if self.plan.goes_on:
+            return failures[0] if failures else None
+        failures = [*(self._failures or []), *failures]
         if not failures:
-            return trip
+            return DriveTripped(self.tripped) if self.tripped else None
         left = "".join(machine.not_put_back() for machine in self.machines)
-        if unsafe := [str(failure) for failure in failures if isinstance(failure, OutputsMayBeOn)]:
-            return OutputsMayBeOn(f"{unsafe[0]}{left}")
+        if self.unsafe:
+            return OutputsMayBeOn(f"{self.unsafe}{left}")
         words = f"the bench could not be restored: {failures[0]}{left}"
-        failure = BenchError(words) if trip is None else DriveTripped(f"{trip}; then {words}")
+        failure = DriveTripped(f"{self.tripped}; then {words}") if self.tripped else BenchError(words)
         failure.__cause__ = failures[0]
         return failure
 
@@ -431,11 +438,11 @@ class Rig:
             raise BenchError(f"no terminal to ask: {words}")
         with self.plan.ask(words) as answered:
             while not answered(POLL if self.plan.virtual else 0.0):
-                if self._signals:
+                if self.signal.came:
                     raise BenchError(f"not waited for: {words}")
                 if self.plan.virtual:
                     continue
-                if self._signals is None:
+                if self._failures is None:
                     self._poll(POLL)
                 else:
                     self._turn(POLL)  # whatever the drive has, it is off
@@ -456,17 +463,13 @@ class Rig:
             for text, level in self.outputs.news():
                 self.client.note(text, level)
             self.outputs.check()
-        if self.plan.goes_on:
-            if self.client.health.down_since is None:
-                self._look()
-            return
-        if self.plan.passive:
-            return
-        if self.client.health.reboots:
-            raise DriveTripped("the drive has rebooted")
-        self.drive.look()
-        if isinstance(self.load, NodeLoad):
-            self.load.look()
+        if self.plan.goes_on and self.client.health.down_since is None:
+            self._look()
+        elif not (self.plan.goes_on or self.plan.passive):
+            if self._rebooted:
+                raise DriveTripped("the drive has rebooted")
+            for machine in self.machines:
+                machine.look()
 
     def _look(self) -> None:
         """Of a run that goes on: let go what does not run as it should, and keep the clock fresh."""
@@ -480,9 +483,8 @@ class Rig:
                 self.clock, self._next_clock = None, now
                 self.drive.node.resume_streams()
         for machine in () if self.unsafe else reversed(self.machines):
-            watchdog = self.drive.parameters.get("watchdog", WATCHDOG) if machine is self.drive else WATCHDOG
-            if why := machine.trouble(watchdog):
-                self.let_go(f"{machine.title}{why}")
+            if machine.on and (why := machine.trouble()):
+                self.let_go(why)
         if now >= self._next_clock and not self.client.session.busy:
             self._next_clock = now + CLOCK_PERIOD
             try:

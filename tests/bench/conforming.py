@@ -14,7 +14,7 @@ from bench.conform import run as conforming
 from bench.conform.catalogue import chosen
 from bench.conform.checks import Check
 from bench.conform.run import Options, Run, conform
-from bench.conform.verdicts import Verdict
+from bench.signal.verdict import Verdict
 from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
 from protocol.links import Link
@@ -55,7 +55,7 @@ def options(level: int, **given: object) -> Options:
 
 
 def run_on(link: Link, level: int, **given: object) -> Run:
-    return conform(link, options(level, **given), RecordingScreen(), None, lambda result: None)
+    return conform(lambda: link, options(level, **given), RecordingScreen(), None, lambda result: None)
 
 
 def on_device(

@@ -18,12 +18,12 @@ from scipy.signal import lfilter
 
 from bench.cli import cli
 from bench.compare.alignment import aligned, zero_of
-from bench.compare.batches import BATCHES, Batches, Verdict, of_means, of_rms, of_std, standard_error
+from bench.compare.batches import BATCHES, VERDICT_WORDS, Batches, of_means, of_rms, of_std, standard_error
 from bench.compare.compare import Comparison, compare
 from bench.errors import BenchError
 from bench.record.info import Mark
 from bench.record.reader import Run
-from bench.signal.verdict import Verdict as MarkVerdict
+from bench.signal.verdict import Verdict
 from bench.view import schema
 from protocol.codes import DriveState, EventCode, Fault
 from protocol.messages import DeviceEvent
@@ -43,7 +43,7 @@ def compared(a: Path, b: Path, to: str = "begin", begin: float | None = None, en
 
 
 def verdicts(found: Comparison) -> dict[str, str]:
-    return {row.name: row.difference.verdict.value for row in found.rows}
+    return {row.name: VERDICT_WORDS[row.difference.verdict] for row in found.rows}
 
 
 def changed(state: DriveState, seconds: float, node: int = 1) -> DeviceEvent:
@@ -77,7 +77,7 @@ def test_the_standard_error_is_that_of_noise_that_is_known(phi: float) -> None:
         found = of_means(sums.sums("a"), sums.sums("b"))
         errors.append(found.error)
         beyond += abs(found.value) > 2 * found.error
-        differs += found.verdict is Verdict.DIFFERS
+        differs += found.verdict is Verdict.FAIL
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(exact, rel=0.25)
     assert np.median(errors) > 0.9 * exact
     assert beyond / SEEDS < 0.08  # Student's t with 23 degrees: 5.7 %
@@ -94,7 +94,7 @@ def test_a_difference_that_swings_slowly_is_not_called_noise() -> None:
     sums.add("a", batch, np.zeros(BATCHES * 100))
     sums.add("b", batch, np.repeat(slow, 100))
     found = of_means(sums.sums("a"), sums.sums("b"))
-    assert (found.verdict, found.why) == (Verdict.UNKNOWN, "drifts")
+    assert (found.verdict, found.why) == (Verdict.INVALID, "drifts")
 
 
 def test_rms_and_std_of_noise_and_their_errors() -> None:
@@ -110,8 +110,8 @@ def test_rms_and_std_of_noise_and_their_errors() -> None:
         found = of_std(sums.sums("a"), sums.sums("b"))
         assert (found.a, found.b) == pytest.approx((a.std(), b.std()), rel=1e-6)
         errors.append(found.error)
-        differs += found.verdict is Verdict.DIFFERS
-        assert of_std(sums.sums("a"), sums.sums("wide")).verdict is Verdict.DIFFERS
+        differs += found.verdict is Verdict.FAIL
+        assert of_std(sums.sums("a"), sums.sums("wide")).verdict is Verdict.FAIL
         rms = of_rms(sums.sums("a"), sums.sums("b"))
         assert (rms.a, rms.b) == pytest.approx((np.sqrt(np.mean(a**2)), np.sqrt(np.mean(b**2))), rel=1e-9)
     assert np.median(errors) == pytest.approx(math.sqrt(2 / (2 * n)), rel=0.2)
@@ -122,7 +122,7 @@ def test_too_few_samples_tell_nothing(tmp_path: Path) -> None:
     for name, value in (("a", 1.0), ("b", 5.0)):
         make(tmp_path / f"{name}.run", {"u_dc": np.full(BATCHES * 9, value)})
     (row,) = compared(tmp_path / "a.run", tmp_path / "b.run").rows
-    assert (row.difference.verdict, row.difference.why) == (Verdict.UNKNOWN, "too few samples")
+    assert (row.difference.verdict, row.difference.why) == (Verdict.INVALID, "too few samples")
     assert (row.difference.a, row.difference.b) == (1.0, 5.0)
 
 
@@ -180,7 +180,7 @@ def shifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     marks = {"a": (tick(0.6), tick(0.7)), "b": (tick(0.6 + late), tick(1.7))}
     a, b = (
         make(folder / f"{name}.run", columns[name], start=1000, parameters={"n_p": 6, "k": k}, events=events[name],
-             marks=[Mark("load step", *marks[name], MarkVerdict.PASS)])
+             marks=[Mark("load step", *marks[name], Verdict.PASS)])
         for k, name in enumerate("ab", 1)
     )  # fmt: skip
     return a, b
@@ -196,7 +196,7 @@ def test_runs_are_aligned_to_a_sample(shifted: tuple[Path, Path], to: str) -> No
     found = compare(a, b)
     (row,) = (row for row in found.rows if row.name == "i_q")
     assert (row.difference.value, row.difference.error) == (0.0, 0.0)  # the very same samples
-    assert row.difference.verdict is Verdict.SAME
+    assert row.difference.verdict is Verdict.PASS
     a, b = aligned(Run(shifted[0]), Run(shifted[1]), to, 0.1, 0.2)
     assert (a.seconds(a.first), a.seconds(a.last)) == (0.1, 0.2)
     assert (b.first - b.zero, b.last - b.zero) == (tick(0.1), tick(0.2))

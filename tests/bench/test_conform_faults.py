@@ -12,7 +12,7 @@ from conforming import ON_CAN, OVERLOADED, TO_MOTION, TO_STATES, TO_STREAMS, end
 from bench.conform.catalogue import checks
 from bench.conform.checks import TABLE
 from bench.conform.levels import MOTION, STATES, STREAMS
-from bench.conform.verdicts import Verdict
+from bench.signal.verdict import Verdict
 
 CASES = [
     *((fault, check, STREAMS, "bytes") for fault, check in TO_STREAMS.items()),
@@ -25,8 +25,8 @@ CASES = [
 @pytest.mark.parametrize(("fault", "check", "level", "carrier"), CASES, ids=[case[0] for case in CASES])
 def test_a_fault_fails_the_check_that_is_meant_for_it_and_no_other(fault: str, check: str, level: int, carrier: str):
     run, _ = on_device(level, [fault], carrier=carrier, without=left_out(check))
-    failed = [f"{result.check.id}: {result.evidence}" for result in run.results if result.verdict is Verdict.FAILED]
-    assert ended(run, Verdict.FAILED) == [check], failed
+    failed = [f"{result.check.id}: {result.evidence}" for result in run.results if result.verdict is Verdict.FAIL]
+    assert ended(run, Verdict.FAIL) == [check], failed
 
 
 def left_out(check: str) -> set[str]:

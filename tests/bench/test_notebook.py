@@ -6,12 +6,11 @@ import builtins
 import io
 import json
 import math
-import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, nullcontext
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,7 +21,7 @@ import pytest
 from click.testing import CliRunner
 from processes import ENVIRONMENT, LIMIT
 from test_prompt import PhysicalDrive
-from virtual_run import WatchedLink, at_rest, physical, raising, simulated
+from virtual_run import WatchedLink, at_rest, physical, simulated
 from virtual_run import run as live
 
 import bench
@@ -80,48 +79,6 @@ class Somebody:
 
 
 # -- however it ends ------------------------------------------------------------------------------------------------
-
-
-ENDS: dict[str, tuple[Callable[[bench.Rig], object], type[BaseException] | None]] = {
-    "of itself": (lambda rig: rig.wait(0.05), None),
-    "by a bug": (lambda rig: rig.no_such_name, AttributeError),  # type: ignore[attr-defined]
-    "by Ctrl-C": (lambda rig: signal.raise_signal(signal.SIGINT), KeyboardInterrupt),
-    "by a refusal of the drive": (lambda rig: rig.drive.speed(rad_s=401.0), NodeError),
-}
-
-
-@pytest.mark.parametrize(("what", "raised"), ENDS.values(), ids=ENDS)
-def test_what_turned_is_off_and_seen_off_and_put_back(
-    what: Callable[[bench.Rig], object], raised: type[BaseException] | None
-) -> None:
-    link = WatchedLink(physical())
-    ends = pytest.raises(raised) if raised else nullcontext()
-    with ends, connected(link, yes=True, limits=bench.Envelope(current=3.0)) as rig:
-        rig.drive.set("k_p_vt", 900.0)
-        rig.drive.speed(rpm=500)
-        rig.load.torque(0.05)
-        rig.wait(0.2)
-        assert link.device.drive.state == link.device.load.state == DriveState.RUNNING
-        assert link.device.sessions[0].app.outputs_on
-        what(rig)
-    assert at_rest(link.device)
-    for node in (1, 2):
-        assert not rig.client.heartbeats[node].outputs_on
-    app = link.device.sessions[0].app
-    assert (app.get_param("i_max"), app.get_param("k_p_vt")) == (I_MAX, 1268.0)
-
-
-def test_ctrl_c_in_record_stops_at_once() -> None:
-    link = WatchedLink(physical())
-    with pytest.raises(KeyboardInterrupt), connected(link, yes=True) as rig:  # noqa: PT012
-        rig.drive.speed(rpm=500)
-        began, calls = link.clock(), link.calls
-        link._on_call = raising(signal.SIGINT, calls + 10)
-        rig.record(60.0)
-    assert at_rest(link.device)
-    assert link.clock() - began < 1.0
-    running = [n for n, state in enumerate(link.states) if state == DriveState.RUNNING]
-    assert calls + 10 <= running[-1] <= calls + 16  # a write of STOP, and the reads that wait for its answer
 
 
 def test_a_start_that_fails_leaves_it_off() -> None:
@@ -263,20 +220,6 @@ def test_limits_beyond_the_drives_own_are_refused(limits: bench.Envelope, words:
 
 
 # -- what is connected to -------------------------------------------------------------------------------------------
-
-
-def test_a_drive_that_another_host_runs_is_refused_and_goes_on() -> None:
-    link = WatchedLink(physical())
-    with connected(link, yes=True) as other:
-        other.drive.speed(rpm=100)
-        with (
-            reached(link),
-            pytest.raises(BenchError, match=r"tty2 is not at rest \(its heartbeat says RUNNING, outputs on\): another"),
-        ):
-            bench.connect(f"serial:{Path.cwd()}/tty2", yes=True)
-        assert link.device.drive.state == DriveState.RUNNING
-        link.reopen()  # what the second one closed was the link of both
-    assert at_rest(link.device)
 
 
 def test_one_target_has_one_rig() -> None:

@@ -1,24 +1,26 @@
 """However a run ends, by every command and on every link: outputs off and seen to be, parameters as they were.
 
-One table: way to end x command x link. What a command says beside that is in its own tests.
+Two tables: what is refused before anything turns x command; way to end x command x link. What a command says beside
+that is in its own tests.
 """
 
 from __future__ import annotations
 
 import io
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from unittest.mock import patch
 
 import pytest
-from virtual_run import simulated
+from virtual_run import of_another_host, physical, seen_in, simulated
 
 import bench
 from bench.cli import main
@@ -32,6 +34,7 @@ from tests.bench.accept.accepting import HEAD, SpoiltLink
 TARGET = f"serial:/dev/ttyEND{os.getpid()}"  # a target is locked: no two processes of the tests have one
 LINKS = ("bytes", "CAN")
 OPENED = ("bench.live.run.open_link", "bench.rig.connection.open_link", "protocol.links.open_link")
+SOON = 5  # reads and writes in which a signal has stopped the drive
 FEW = ("state.stop-obeyed", "motion.stop")  # checks: one that energises, one that turns
 ACCEPTED = """
 @energises(rpm=500, current=3)
@@ -43,27 +46,31 @@ def test_turns(drive, load, record):
 """
 
 
-def _notebook(link: SpoiltLink) -> None:
-    with bench.connect(TARGET, yes=True, limits=bench.Envelope(current=3.0), channels="status,i_q") as rig:
+def _notebook(*more: str) -> None:
+    with bench.connect(TARGET, yes="--yes" in more, limits=bench.Envelope(current=3.0), channels="status,i_q") as rig:
         rig.drive.set("k_p_vt", 900.0)
         rig.drive.speed(rpm=300)
         rig.load.torque(0.02)
         rig.record(0.1)
 
 
+def _command(line: str, *more: str) -> None:
+    main([*line.replace("TARGET", TARGET).replace("OWN", f"own_{Path.cwd().name}.py").split(), *more])
+
+
 SPIN = "--speed 300 --load 1 --observer average-speed --current 3 --duration 0.2 --channels status,i_q --rate 1000"
 
 
-def _command(line: str) -> Callable[[SpoiltLink], None]:
-    return lambda link: main(line.replace("TARGET", TARGET).replace("OWN", f"own_{Path.cwd().name}.py").split())
-
-
-COMMANDS: dict[str, Callable[[SpoiltLink], None]] = {
-    "live": _command(f"live TARGET {SPIN} --yes --viewer none"),
-    "accept": _command("accept TARGET --tests OWN --yes"),
-    "hall": _command("hall check TARGET --speed 480 --yes"),
-    "conform": _command("conform TARGET --level 4 --yes"),
+COMMANDS: dict[str, Callable[..., None]] = {
+    "live": partial(_command, f"live TARGET {SPIN} --viewer none"),
+    "accept": partial(_command, "accept TARGET --tests OWN --json a.json --overwrite"),
+    "hall": partial(_command, "hall check TARGET --speed 480"),
+    "conform": partial(_command, "conform TARGET --level 4"),
     "notebook": _notebook,
+}
+VARIANTS = {
+    "live, a load alone": partial(_command, "live TARGET --load 1 --viewer none"),
+    "conform, states": partial(_command, "conform TARGET --level 3"),
 }
 
 
@@ -81,10 +88,18 @@ class Ended:
         """Exit code; that of Python for what a notebook raises."""
         if isinstance(self.raised, SystemExit):
             return int(self.raised.code or 0)
-        return 0 if self.raised is None else int(getattr(self.raised, "exit_code", 130))
+        if isinstance(self.raised, KeyboardInterrupt):
+            return 130
+        return 0 if self.raised is None else int(getattr(self.raised, "exit_code", 2))
 
 
-def _run(command: str, device: SimulatedDevice, on_call: Callable[[SpoiltLink, int], None]) -> Ended:
+def _nothing(link: SpoiltLink, number: int) -> None:
+    pass
+
+
+def _run(
+    command: str, device: SimulatedDevice, on_call: Callable[[SpoiltLink, int], None] = _nothing, more: str = "--yes"
+) -> Ended:
     """`on_call` gets the link and the number of the call, before each read and write."""
     link = SpoiltLink(device, lambda number: on_call(link, number))
     ended, said = Ended(link, link.left()), io.StringIO()
@@ -97,7 +112,7 @@ def _run(command: str, device: SimulatedDevice, on_call: Callable[[SpoiltLink, i
         stack.enter_context(patch.object(sys, "stdout", said))
         stack.enter_context(patch.object(sys, "stderr", said))
         try:
-            COMMANDS[command](link)
+            (COMMANDS | VARIANTS)[command](*more.split())
         except (SystemExit, KeyboardInterrupt, Exception) as error:
             ended.raised = error
     ended.text = " ".join(said.getvalue().split()) + f" {ended.raised}"
@@ -110,10 +125,48 @@ def _somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / f"own_{tmp_path.name}.py").write_text(HEAD + ACCEPTED)
 
 
+# -- what is refused --------------------------------------------------------------------------------------------
+
+
+def faulty() -> SimulatedDevice:
+    device = simulated()
+    device.drive.fault(Fault.OVERCURRENT)
+    device.advance(160)
+    return device
+
+
+REFUSED = {
+    "nobody can be asked": (physical, "", r"refusing to energise simulated drive .* on serial:\S+: .*no terminal to"),
+    "another host turns it": (
+        of_another_host,
+        "--yes",
+        r"is not at rest \(its heartbeat says RUNNING, outputs on\): ",
+    ),
+    "it has a latched fault": (faulty, "--yes", r"has a latched fault \(OVERCURRENT\): find the cause, then clear it"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS | VARIANTS)
+@pytest.mark.parametrize(("make", "more", "words"), REFUSED.values(), ids=REFUSED)
+def test_a_drive_that_must_not_be_turned_is_left_as_it_is(
+    make: Callable[[], SimulatedDevice], more: str, words: str, command: str
+) -> None:
+    device = make()
+    before = seen_in(device)
+    ended = _run(command, device, more=more)
+    assert (ended.code, bool(re.search(words, ended.text))) == (2, True), ended.text
+    assert set(ended.link.states) == {before[0]}
+    assert (seen_in(device) == before) or not more  # to be asked comes last
+    assert ended.link.left() == ended.before
+
+
+# -- however it ends --------------------------------------------------------------------------------------------
+
+
 @cache
 def _states(command: str, network: str) -> tuple[DriveState, ...]:
     """Of the drive at each call of a run that ends of itself."""
-    ended = _run(command, simulated(network=network), lambda link, number: None)
+    ended = _run(command, simulated(network=network))
     assert ended.code == 0, ended.text
     return tuple(ended.link.states)
 
@@ -153,6 +206,7 @@ def test_whoever_ends_it_and_when_all_is_off_and_as_it_was(command: str, network
         ended = _run(command, simulated(network=network), interrupt)
         assert ended.link.left() == ended.before, (moment, ended.text)
         assert ended.link.device.drive.machine.faults == Fault(0), moment  # STOP did it, not the watchdog
+        assert sum(state == DriveState.RUNNING for state in ended.link.states[at:]) <= SOON, moment
         assert ended.code == (130 if command in ("accept", "notebook") else 128 + kind), (moment, ended.text)
         assert "Traceback" not in ended.text
 
@@ -179,12 +233,20 @@ def _unplugged(link: SpoiltLink, number: int) -> None:
         raise LinkClosed("unplugged")
 
 
+def _fails_once(link: SpoiltLink, number: int, error: type[Exception] = LinkClosed) -> None:
+    if link.states[-9:] == [DriveState.RUNNING] * 9 and not getattr(link, "failed", False):
+        link.failed = True  # type: ignore[attr-defined]
+        raise error("it failed")
+
+
 UNSAFE = "OUTPUTS MAY STILL BE ON: cut the power"
 WAYS: dict[str, tuple[Callable[[SpoiltLink, int], None], dict[str, int], str]] = {
     # what happens, how each command ends, and what all of them say
     "STOP is not answered": (_deaf, {"live": 1, "accept": 2, "hall": 2, "conform": 1, "notebook": 2}, "STOP"),
     "nor does the watchdog switch off": (_deaf_for_ever, dict.fromkeys(COMMANDS, 5), UNSAFE),
     "the drive trips": (_trips, {"live": 1, "accept": 1, "hall": 0, "conform": 6, "notebook": 1}, ""),
+    "the link fails once": (_fails_once, dict.fromkeys(COMMANDS, 2) | {"live": 0, "conform": 1}, ""),
+    "an error of this program": (partial(_fails_once, error=RuntimeError), dict.fromkeys(COMMANDS, 2), ""),
     "the cable is pulled": (_unplugged, dict.fromkeys(COMMANDS, 5), UNSAFE),
 }
 
@@ -196,7 +258,11 @@ def test_what_the_drive_or_the_link_does_leaves_nothing_on_unsaid(way: str, comm
     with patch("bench.live.run.RECONNECT", 1.0), patch("bench.device.client.REOPEN_PERIOD", 0.0):
         ended = _run(command, simulated(), happens)
     assert (ended.code, words in ended.text) == (codes[command], True), ended.text
+    if way == "nor does the watchdog switch off":  # what may still be on keeps its lowered limit
+        assert ended.link.left()[1]["1.i_max"] == {"hall": 2.0, "conform": 8.0}.get(command, 3.0)
     device = ended.link.device
+    if way in ("the link fails once", "an error of this program"):  # STOP did it
+        assert (ended.link.left(), device.drive.machine.faults) == (ended.before, Fault(0))
     device.advance(16000)  # a second: what nobody feeds any more
     if way != "nor does the watchdog switch off":
         assert not any(session.app.outputs_on for session in device.sessions)

@@ -9,12 +9,12 @@ import signal
 from dataclasses import replace
 
 import pytest
-from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, run, simulated
+from virtual_run import RecordingScreen, WatchedLink, at_rest, of_another_host, physical, run, seen_in, simulated
 
 from bench.cli import main
 from bench.device.client import Client
 from bench.device.node import Node
-from bench.errors import BenchError, Interrupted, NodeError, UnsafeError
+from bench.errors import BenchError, Interrupted, NodeError
 from bench.live.manoeuvres import Act
 from bench.live.summary import run_rows
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
@@ -23,7 +23,6 @@ from bench.rig.settings import Settings
 from bench.signal.position import position_errors
 from protocol.errors import LinkClosed
 from protocol.framing import Deframer, parse_frame
-from protocol.links import Link
 from protocol.messages import Command, DriveState, Fault, MessageType
 from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
@@ -265,33 +264,6 @@ def test_a_target_that_another_run_holds_is_refused_by_every_command(
 # -- another host's drive ---------------------------------------------------------------------------------------
 
 
-def of_another_host(streams: bool = True) -> SimulatedDevice:
-    """A drive that another host has started, and whose samples come to it."""
-    device = simulated(firmware__watchdog=1.0)
-    node = Node(Client(VirtualLink(device)), 1)
-    if streams:
-        node.set_samples(node.channels(["i_q"]), 1)
-        node.start_streams()
-    node.arm()
-    node.start()
-    return device
-
-
-def seen_in(device: SimulatedDevice) -> tuple[object, ...]:
-    drive = device.drive
-    return drive.state, drive.streams.channels, drive.streams.running, dict(device.bench.parameters)
-
-
-@pytest.mark.parametrize("what", [{}, {"clear_faults": True}, {"speed_rpm": None, "load_a": 1.0}])
-def test_a_drive_that_another_host_turns_is_left_alone(what: dict[str, float | None]) -> None:
-    device = of_another_host()
-    before = seen_in(device)
-    with pytest.raises(BenchError, match=r"is not at rest \(its heartbeat says RUNNING, outputs on\): another host"):
-        run(WatchedLink(device), **what)  # type: ignore[arg-type]
-    assert seen_in(device) == before
-    assert device.drive.app.outputs_on
-
-
 def test_watching_takes_no_streams_away_from_a_host_that_turns_the_drive() -> None:
     device = of_another_host()
     before = seen_in(device)
@@ -410,16 +382,6 @@ def test_a_drive_that_refuses_its_old_parameters_is_no_success(monkeypatch: pyte
 
 def never_armed(link: WatchedLink) -> bool:
     return not {DriveState.ARMED, DriveState.RUNNING} & set(link.states)
-
-
-@pytest.mark.parametrize("what", [{}, {"speed_rpm": None, "load_a": 1.0}], ids=["drive", "load alone"])
-def test_a_physical_bench_is_not_energised_where_nobody_can_be_asked(what: dict[str, float | None]) -> None:
-    link: Link = WatchedLink(physical())
-    with pytest.raises(UnsafeError, match=r"refusing to energise simulated drive .* on serial:/dev/ttyTEST.*--yes"):
-        run(link, confirm=None, **what)  # type: ignore[arg-type]
-    assert never_armed(link)
-    with pytest.raises(LinkClosed):
-        link.read(0.0)
 
 
 class TripsAtStop(WatchedLink):

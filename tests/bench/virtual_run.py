@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from unittest.mock import patch
 
+from bench.device.client import Client
+from bench.device.node import Node
 from bench.live import run as live
 from bench.live.summary import Summary
 from protocol.canmap.frame import BusRates
@@ -44,6 +46,24 @@ def physical(seed: int = 1) -> SimulatedDevice:
     for session in device.sessions:
         session.identity = replace(session.identity, features=session.identity.features & ~Feature.SIMULATED)
     return device
+
+
+def of_another_host(streams: bool = True) -> SimulatedDevice:
+    """A drive that another host has started, and whose samples come to it."""
+    device = simulated(firmware__watchdog=1.0)
+    node = Node(Client(VirtualLink(device)), 1)
+    if streams:
+        node.set_samples(node.channels(["i_q"]), 1)
+        node.start_streams()
+    node.arm()
+    node.start()
+    return device
+
+
+def seen_in(device: SimulatedDevice) -> tuple[object, ...]:
+    """State, streams and parameters of the drive."""
+    drive = device.drive
+    return drive.state, drive.streams.channels, drive.streams.running, dict(device.bench.parameters)
 
 
 @dataclass

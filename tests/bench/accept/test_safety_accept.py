@@ -128,15 +128,6 @@ def test_what_could_not_be_put_back_is_told_although_a_signal_came_meanwhile(acc
     assert closing_lines(run.result)[-1] == f"error: {UNSTOPPED}"
 
 
-def test_a_drive_with_a_latched_fault_is_not_touched(accepting: Accepting, link: SpoiltLink) -> None:
-    link.device.drive.fault(Fault.OVERCURRENT)
-    run = accepting("def test_turns(drive, record): turn(drive, record)", link)
-    assert run["turns"].verdict == "ERROR"
-    assert re.search(r"has a latched fault \(OVERCURRENT\): find the cause", run["turns"].why)
-    assert link.device.drive.state == DriveState.FAULT
-    assert never_armed(link)
-
-
 # -- consent ----------------------------------------------------------------------------------------------------
 
 ANNOUNCED = """
@@ -230,22 +221,6 @@ def test_endless(drive, record):
 
 def test_next(drive): pass
 """
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_in_stop_and_a_written_result(
-    start: Callable[..., Program], start_sim: Callable[..., Sim], accepting: Accepting, number: signal.Signals
-) -> None:
-    sim = start_sim("--pty", *PATIENT)
-    run = start("accept", sim.target, "--tests", str(accepting.write(ENDLESS)), "--json", "a.json")
-    run.line("turning")
-    run.send(number)
-    sim.line(r"outputs off: STOP \(node 1")
-    assert run.end() == 130
-    written = json.loads(Path("a.json").read_text())
-    assert written["verdict"] == "ABORTED"
-    assert [test["verdict"] for test in written["tests"]] == ["ABORTED", "ABORTED"]
-    assert not any("Traceback" in line for line in run.err)
 
 
 def test_a_second_run_is_refused_and_a_killed_one_ends_by_the_watchdog_and_frees_the_target(
