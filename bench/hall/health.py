@@ -116,8 +116,8 @@ def _codes(trace: Trace) -> Codes:
     illegal = np.zeros((8, 8), bool)
     illegal[[0, 7]] = illegal[:, [0, 7]] = True
     far = np.abs(steps_between(*np.indices((8, 8)))) != 1.0
-    of = (int(trace.changed[which].sum()) for which in (illegal, ~illegal & far))
-    return Codes(int(trace.codes[[0, 7]].sum()), trace.samples, *of, int(trace.changed.sum()))
+    lead_there, skipped, edges = (int(trace.changed[which].sum()) for which in (illegal, ~illegal & far, ...))
+    return Codes(int(trace.codes[[0, 7]].sum()), trace.samples, lead_there, skipped, edges)
 
 
 def _thin(turns: Turns, measured: Measured) -> list[str]:
