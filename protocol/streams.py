@@ -91,6 +91,14 @@ class StreamConfig:
     tick_hz: int = field(kw_only=True)
     pwm_hz: int = field(kw_only=True)
 
+    def __hash__(self) -> int:
+        return hash((self.node, self.stream, self.cfg_id))  # all of it would take longer than what it is looked up for
+
+    @property
+    def index_step(self) -> int:
+        """How far the index advances from record to record: PWM periods, or one edge."""
+        return self.decimation if self.channels else 1
+
     @property
     def period_ticks(self) -> int:
         """Device ticks in a PWM period."""

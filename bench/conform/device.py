@@ -19,6 +19,7 @@ import numpy as np
 from bench.conform.bus import BusLine
 from bench.conform.probe import Answer, Heard, Probe, read, state_name
 from bench.conform.verdicts import Ended, Failed, NotApplicable, Unknown
+from bench.device.safety import is_off
 from bench.rig.interrupts import undisturbed
 from protocol.canmap.layout import MAX_GROUPS, sample_layout
 from protocol.codes import Command, DriveState, ErrorCode, Fault, MessageType, StreamEvent
@@ -318,26 +319,16 @@ class Device:
 
     def fresh(self) -> Heartbeat:
         """A heartbeat that was made from now on."""
-        return self.probe.beat(self.probe.tick()[1])
+        now = self.probe.tick()[1]
+        return self.probe.beat(lambda beat: beat.tick > now)
 
     def wait_state(self, state: DriveState, seconds: float) -> None:
         """Wait for a heartbeat with this state. Raises Unknown."""
-        since = len(self.probe.heard)
-
-        def seen() -> bool:
-            return any(beat.state == state for beat in beats_of(self.probe.heard[since:], self.probe.node))
-
-        if not self.probe.until(seen, seconds):
-            raise Unknown(f"no heartbeat with {state.name} received within {seconds:.2g} s")
+        self.probe.beat(lambda beat: beat.state == state, seconds, f"with {state.name} ")
 
     def events(self, code: int) -> list[DeviceEvent]:
         """The events of this code that came since `connect`."""
-        found = [
-            read(each.frame, DeviceEvent)
-            for each in self.probe.heard
-            if each.frame.type == MessageType.EVENT and each.frame.node == self.probe.node
-        ]
-        return [event for event in found if event.code == code]
+        return [event for _, event in self.probe.came(DeviceEvent) if event.code == code]
 
     def stop_anyhow(self) -> None:
         """Every kind of STOP that the link has."""
@@ -380,16 +371,6 @@ def require_granted(answer: Answer, what: str) -> Answer:
     if answer.error is not None:
         raise Unknown(f"{what} was refused: {answer}")
     return answer
-
-
-def is_off(beat: Heartbeat) -> bool:
-    """Whether it says that its power stage is off, and is in a state in which it stays off."""
-    return beat.state in (DriveState.BOOT, DriveState.IDLE, DriveState.FAULT) and not beat.outputs_on
-
-
-def beats_of(heard: Sequence[Heard], node: int) -> list[Heartbeat]:
-    """The heartbeats of a node."""
-    return [read(h.frame, Heartbeat) for h in heard if h.frame.type == MessageType.HEARTBEAT and h.frame.node == node]
 
 
 def width(channel: Channel) -> int:

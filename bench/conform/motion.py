@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from bench.conform.checks import Carrier, Group
 from bench.conform.data import EDGES_FIRST, edges_ahead
-from bench.conform.device import PATIENCE, Device, ids, is_off, require_granted
+from bench.conform.device import PATIENCE, Device, ids, require_granted
 from bench.conform.levels import MOTION
 from bench.conform.probe import accepted, read, state_name
 from bench.conform.setpoints import code_name, send
 from bench.conform.verdicts import Failed, NotApplicable, Unknown
-from bench.device.safety import says
+from bench.device.safety import is_off, says
 from bench.rig.runaway import Runaway
 from bench.signal.units import RPM, pole_pairs
 from bench.signal.waveforms.sectors import edge_passages, steps_between

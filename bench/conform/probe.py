@@ -34,6 +34,7 @@ from protocol.messages import (
     ErrorReply,
     Heartbeat,
     HelloReply,
+    Message,
     Payload,
     Request,
     TimeSyncReply,
@@ -42,6 +43,7 @@ from protocol.payload import PayloadError
 from protocol.wire import ByteWire
 
 R = TypeVar("R", bound=Payload)
+M = TypeVar("M", bound=Message)
 
 TRIES = 3
 PATIENCE = 0.25  # s for which an answer is waited for, before the request is repeated
@@ -353,32 +355,28 @@ class Probe:
             raise Failed(f"HELLO was refused: {answer}")
         return read(answer.frame, HelloReply)
 
+    def came(self, kind: type[M], since: int = 0) -> list[tuple[float, M]]:
+        """The device's messages of this kind after the first `since` that came, with the time at which each came."""
+        found = [each for each in self.heard[since:] if each.frame.type == kind.TYPE and each.frame.node == self.node]
+        return [(each.at, read(each.frame, kind)) for each in found]
+
     @property
     def beats(self) -> list[tuple[float, Heartbeat]]:
         """The heartbeats of the device since `connect`, with the time at which each came."""
-        return [
-            (each.at, read(each.frame, Heartbeat))
-            for each in self.heard
-            if each.frame.type == MessageType.HEARTBEAT and each.frame.node == self.node
-        ]
+        return self.came(Heartbeat)
 
-    def beat(self, after: int | None = None) -> Heartbeat:
-        """The next heartbeat, or the next one that was made after the tick `after`. Raises Unknown."""
+    def beat(
+        self, wanted: Callable[[Heartbeat], bool] = lambda beat: True, seconds: float = BEAT, words: str = ""
+    ) -> Heartbeat:
+        """The next heartbeat that is `wanted`, which `words` say. Unknown where there is none within so many s."""
         since = len(self.heard)
 
-        def found() -> Heartbeat | None:
-            for each in self.heard[since:]:
-                if each.frame.type == MessageType.HEARTBEAT and each.frame.node == self.node:
-                    beat = read(each.frame, Heartbeat)
-                    if after is None or beat.tick > after:
-                        return beat
-            return None
+        def found() -> list[Heartbeat]:
+            return [beat for _, beat in self.came(Heartbeat, since) if wanted(beat)]
 
-        self.until(lambda: found() is not None, BEAT)
-        beat = found()
-        if beat is None:
-            raise Unknown(f"no heartbeat received within {BEAT:g} s")
-        return beat
+        if not self.until(lambda: bool(found()), seconds):
+            raise Unknown(f"no heartbeat {words}received within {seconds:.2g} s")
+        return found()[0]
 
     def command(self, command: int, argument: int = 0) -> Answer:
         """Send a STATE_CMD."""

@@ -58,8 +58,6 @@ class Run:
     unsafe: str = ""
     ended: str = ""
     signal: int = 0
-    energised: bool = False
-    """Whether outputs may have been on."""
     troubles: list[str] = field(default_factory=list)
 
     def count(self, verdict: Verdict) -> int:
@@ -196,7 +194,7 @@ class _Course:
             device.hello = probe.connect()
         verdict, evidence = Verdict.PASS, ""
         if check.needs >= STATES:
-            self._rig.drive.on = self._run.energised = True
+            self._rig.drive.on = True  # from now on it gets a STOP
         try:
             evidence = check.body(device)
         except Ended as ended:

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bench.conform.checks import Group
-from bench.conform.device import PATIENCE, Device, faults_text, is_off, require_granted
+from bench.conform.device import PATIENCE, Device, faults_text, require_granted
 from bench.conform.levels import STATES
 from bench.conform.probe import accepted, read, refusal, state_name
 from bench.conform.verdicts import Failed, Unknown
-from bench.device.safety import says
+from bench.device.safety import is_off, says
 from protocol.codes import Command, DriveState, ErrorCode, EventCode, Fault, MessageType, SetpointMode
 from protocol.messages import BlobRead, DeviceEvent, Heartbeat, StateReply
 from protocol.signals import Flag

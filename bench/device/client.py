@@ -17,6 +17,8 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass, field
 from typing import TypeVar
 
+from bench.device.heard import Chunk, ClockRestarted, Heard, Missing, Note, Sink
+from bench.device.losses import Continuity
 from protocol.errors import LinkClosed, LinkError, NoReply, Refused
 from protocol.host import (
     Connected,
@@ -43,7 +45,7 @@ from protocol.messages import (
     Request,
     StreamEvent,
 )
-from protocol.streams import Beat, EdgeChunk, LossCounters, SampleChunk, StreamConfig
+from protocol.streams import Beat, LossCounters, StreamConfig
 from protocol.text import counted
 from protocol.wire import Decoder, StreamFrames
 
@@ -57,31 +59,6 @@ SETTLE = 0.02  # s: how long a turn goes on collecting once bytes come
 REOPEN_PERIOD = 0.1  # s between attempts to open a link that went away
 QUIET = 1.0  # s without a stream frame after which none is under way; a CAN device gives them up after 0.5 s
 FLUSH = 10.0  # s that a device is given to send what waited at STREAM_STOP: 64 KiB at 115200 baud, and some
-
-
-class Sink:
-    """What receives a run; this one ignores all of it. Calls come from the acquiring thread and must return at once."""
-
-    def samples(self, chunk: SampleChunk) -> None:
-        """One chunk of samples, contiguous but for `chunk.gaps`."""
-
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Hall edges; they come before the samples that cover them."""
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """The drive's health, ten times a second."""
-
-    def event(self, node: int, event: DeviceEvent) -> None:
-        """Something happened in the drive."""
-
-    def missing(self, node: int, samples: int, edges: int) -> None:
-        """So many records of `node`, made before its streams ended, did not come after those that did."""
-
-    def parameter(self, node: int, name: str, value: float) -> None:
-        """A parameter of `node` has been set, to what the node says it took."""
-
-    def note(self, text: str, level: str = "INFO") -> None:
-        """Something happened on the host: a line for the log."""
 
 
 @dataclass(slots=True)
@@ -153,7 +130,7 @@ class Client:
         self.reconnect = reconnect
         self.session = HostSession(link.wire())
         self.sinks: list[Sink] = []
-        self.change: Callable[[SampleChunk | EdgeChunk], SampleChunk | EdgeChunk] = lambda chunk: chunk
+        self.change: Callable[[Chunk], Chunk] = lambda chunk: chunk
         """What is done to each chunk before the sinks get it."""
         self.health = LinkHealth()
         self.hello: HelloReply | None = None
@@ -170,6 +147,8 @@ class Client:
         self.beside: list[Client] = []
         """Of other links of the same bench."""
         self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
+        self._clocks: dict[int, dict[int | None, int]] = {}  # the newest tick by node and stream; None: heartbeats
+        self._continuity = Continuity()
         self._streams: dict[int, _Streams] = {}
         self._closed: dict[int, Losses] = {}  # of streams that have ended
         self._watches: dict[int, _Watch] = {}
@@ -322,14 +301,13 @@ class Client:
                 self.heartbeats[node] = heartbeat
                 self.faults[node] = self.faults.get(node, Fault(0)) | heartbeat.faults
                 self._streams.get(node, _NO_STREAMS).heard(heartbeat)
-                for sink in self.sinks:
-                    sink.heartbeat(node, heartbeat)
+                self._heard_at(node, None, heartbeat.tick)
+                self.tell(event)
             case DeviceEventReceived(node=node, event=happened):
                 self.faults[node] = self.faults.get(node, Fault(0)) | happened.faults
                 if happened.code == EventCode.SETPOINT_REJECTED:
                     self.rejections[node] = happened
-                for sink in self.sinks:
-                    sink.event(node, happened)
+                self.tell(event)
             case LogReceived(log=log):
                 self.note(log.text, _LOG_LEVELS.get(log.level, "INFO"))
             case ReplyReceived(tid=tid, message=message):
@@ -352,26 +330,40 @@ class Client:
                 self.health.reboots += 1
                 self.note(f"node {node} has rebooted", "WARN")
                 self._end(node, self.heartbeats.pop(node, None))  # the last one of the boot before
+                self._continuity.restarted(node)
+                self.tell(ClockRestarted(node, self.newest(node)))
+                self._clocks.pop(node, None)
                 if self.on_reboot:
                     self.on_reboot(node)
 
-    def _deliver(self, chunk: SampleChunk | EdgeChunk | None) -> None:
-        if chunk is None:
-            return
-        chunk = self.change(chunk)
-        for sink in self.sinks:
-            if isinstance(chunk, SampleChunk):
-                sink.samples(chunk)
-            else:
-                sink.edges(chunk)
+    def _deliver(self, chunk: Chunk | None) -> None:
+        if chunk is not None and len(chunk):
+            self._heard_at(chunk.config.node, chunk.config.stream, int(chunk.tick[-1]))
+            self.tell(self.change(self._continuity.chunk(chunk)))
+
+    def _heard_at(self, node: int, stream: int | None, tick: int) -> None:
+        """Device time has come to `tick`, by a stream or by heartbeats: those of one overlap a little, no more."""
+        clock = self._clocks.setdefault(node, {})
+        if self.hello is not None and tick + self.hello.tick_hz < clock.get(stream, 0):
+            self.tell(ClockRestarted(node, max(clock.values()), rebooted=False))
+            clock.clear()
+        clock[stream] = tick
 
     def _seen(self, node: int, now: float) -> None:
         self._watches.setdefault(node, _Watch()).last_seen = now
 
-    def note(self, text: str, level: str = "INFO") -> None:
-        """Tell every sink."""
+    def tell(self, item: Heard) -> None:
+        """Give an item to every sink."""
         for sink in self.sinks:
-            sink.note(text, level)
+            sink.take(item)
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Tell every sink a line for the log."""
+        self.tell(Note(self.newest(self.hello.node) if self.hello else 0, text, level))
+
+    def newest(self, node: int) -> int:
+        """The newest device time that was heard of `node`, in ticks; 0 before any."""
+        return max(self._clocks.get(node, {}).values(), default=0)
 
     # -- streams ------------------------------------------------------------------------------------------------
 
@@ -428,8 +420,7 @@ class Client:
         if samples or edges:
             what = " and ".join(counted(n, noun) for n, noun in ((samples, "sample"), (edges, "edge")) if n)
             self.note(f"lost at the end of the streams of node {node}: {what}", "WARN")
-            for sink in self.sinks:
-                sink.missing(node, samples, edges)
+            self.tell(Missing(self.newest(node), node, samples, edges))
 
     # -- watchdog -----------------------------------------------------------------------------------------------
 

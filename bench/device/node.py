@@ -14,6 +14,7 @@ from zlib import crc32
 import numpy as np
 
 from bench.device.client import Client
+from bench.device.heard import ParameterSet
 from bench.device.safety import HEARTBEATS, Vigil, heard, says, switch_off, without_watchdog
 from bench.errors import DoesNotFit, DriveFailed, NodeError
 from protocol.canmap.host import CanWire
@@ -163,8 +164,7 @@ class Node:
                 now = self.parameter(name)
                 raise NodeError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
             raise NodeError(f"{name} = {value:g} was refused by node {self.number}: {refusal}") from None
-        for sink in self.client.sinks:
-            sink.parameter(self.number, name, stored)
+        self.client.tell(ParameterSet(self.client.newest(self.number), self.number, name, stored))
         return stored
 
     def store(self) -> None:

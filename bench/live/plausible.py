@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bench.device.client import Sink
+from bench.device.heard import Heard
 from bench.findings.finding import Finding
 from bench.findings.motion import BY_ENCODER, BY_ESTIMATE, BY_HALL, Currents, NotFinite, SpeedHeld, far_off
 from bench.findings.motor import FluxLinkage
@@ -26,7 +26,7 @@ from protocol.signals import Flag, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 
-class Plausibility(Sink):
+class Plausibility:
     """Sink that judges the run of a drive by its `stream` of samples and, with `edges`, its Hall edges.
 
     `parameters`: the drive's, by name, in their units.
@@ -50,20 +50,21 @@ class Plausibility(Sink):
 
     # -- sink ---------------------------------------------------------------------------------------------------
 
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Follow the Hall sensors from sector to sector."""
-        if chunk.config.node != self._drive:
-            return
+    def take(self, item: Heard) -> None:
+        """Follow the Hall sensors from sector to sector; take in what was sampled while the drive was running."""
+        if isinstance(item, EdgeChunk) and item.config.node == self._drive:
+            self._edges_came(item)
+        elif isinstance(item, SampleChunk) and item.config.node == self._drive:
+            self._samples_came(item)
+
+    def _edges_came(self, chunk: EdgeChunk) -> None:
         steps = steps_between(chunk.hall_old, chunk.hall_new)
         self._sectors += float(steps.sum())
         if self._theta:
             self._turns.edges(chunk, steps)
 
-    def samples(self, chunk: SampleChunk) -> None:
-        """Take in what was sampled while the drive was running."""
+    def _samples_came(self, chunk: SampleChunk) -> None:
         gone, self._sectors = self._sectors, 0.0
-        if chunk.config.node != self._drive or not len(chunk):
-            return
         self._not_finite.add(chunk)
         if self._theta and "hall" in self._names:  # in any state
             self._wires.add(chunk.physical(self._theta), chunk.raw["hall"])

@@ -13,7 +13,7 @@ from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 
 from bench.device.bus import BusMeter
-from bench.device.client import Sink
+from bench.device.heard import Heard, Note, Sink
 from bench.device.node import LOAD
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, RecordingError
@@ -50,15 +50,16 @@ PROGRESS_PERIOD = 0.5  # s
 SILENCE = 2.0  # s without samples after which a note says so
 
 
-class _ScreenNotes(Sink):
+class _ScreenNotes:
     """Sink that puts the notes of client and run on the screen."""
 
     def __init__(self, screen: Screen) -> None:
         self._screen = screen
 
-    def note(self, text: str, level: str = "INFO") -> None:
-        """Show it."""
-        self._screen.note(text)
+    def take(self, item: Heard) -> None:
+        """Show it, if it is one."""
+        if isinstance(item, Note):
+            self._screen.note(item.text)
 
 
 @dataclass(frozen=True)

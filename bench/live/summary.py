@@ -11,9 +11,10 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from bench.device.bus import bus_rows
-from bench.device.client import WATCHDOG, Client, Sink
+from bench.device.client import WATCHDOG, Client
 from bench.device.counters import DeviceCounters
 from bench.device.description import describe
+from bench.device.heard import Heard
 from bench.files import finite
 from bench.findings.motion import Came
 from bench.report.words import number
@@ -22,7 +23,8 @@ from bench.signal.position import ErrorTable, Moments, position_errors, running
 from bench.view import markdown
 from bench.view.schema import label
 from protocol.codes import fault_names
-from protocol.messages import DeviceEvent, Fault, Heartbeat, HelloReply
+from protocol.host import DeviceEventReceived, HeartbeatReceived
+from protocol.messages import Fault, Heartbeat, HelloReply
 from protocol.streams import EdgeChunk, SampleChunk
 from protocol.text import counted
 
@@ -32,7 +34,7 @@ PAUSE = WATCHDOG  # s in which this program did not run, from which on a summary
 MISDATED = 0.1  # s by which all samples are off the heartbeats around them, beyond which their time is wrong
 
 
-class RunStatistics(Sink):
+class RunStatistics:
     """Sink that keeps the figures of a run; bounded memory. `segment` names the part of the run that is going on."""
 
     def __init__(self, drive: int, observers: HostObservers | None = None) -> None:
@@ -51,12 +53,24 @@ class RunStatistics(Sink):
         self._newest = 0  # tick of the newest sample since the heartbeat before, 0: none came
         self._ages: list[int] = []  # ticks from there to each heartbeat: least and most
 
-    def samples(self, chunk: SampleChunk) -> None:
+    def take(self, item: Heard) -> None:
+        """Count; follow the drive's own counts and its faults."""
+        match item:
+            case SampleChunk():
+                self._samples(item)
+            case EdgeChunk():
+                self.edges_seen += len(item)
+                if self._observers is not None:
+                    self._observers.edges(item)
+            case HeartbeatReceived(node=self.drive, heartbeat=heartbeat):
+                self._heartbeat(heartbeat)
+            case DeviceEventReceived(node=self.drive, event=event):
+                self.faults |= event.faults
+
+    def _samples(self, chunk: SampleChunk) -> None:
         """Count, and add position errors of the samples taken while the drive was running."""
-        n = len(chunk)
-        self.samples_seen += n
-        if n:
-            self._newest = int(chunk.tick[-1])
+        self.samples_seen += len(chunk)
+        self._newest = int(chunk.tick[-1])
         if self.first_sample_unix is None:
             self.first_sample_unix = time.time()
         errors = position_errors(chunk)
@@ -68,19 +82,10 @@ class RunStatistics(Sink):
             self.host_compared += compared
             self.host_differ += differ
         for name in ("omega_enc", "i_q"):
-            if n and name in (chunk.raw.dtype.names or ()):
+            if name in (chunk.raw.dtype.names or ()):
                 self.mean[name] = float(chunk.physical(name).mean())
 
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Count."""
-        self.edges_seen += len(chunk.tick)
-        if self._observers is not None:
-            self._observers.edges(chunk)
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Follow the drive's own counts, and its faults."""
-        if node != self.drive:
-            return
+    def _heartbeat(self, heartbeat: Heartbeat) -> None:
         self.device.add(heartbeat)
         self.faults |= heartbeat.faults  # its event may have been lost with the link
         if self._newest:
@@ -98,11 +103,6 @@ class RunStatistics(Sink):
             f"samples are dated {off:.2g} s in the {where} by the drive's own clock: tick0 or pwm_hz is not what it "
             "says, or not every PWM period is one of its samples'"
         )
-
-    def event(self, node: int, event: DeviceEvent) -> None:
-        """Remember faults."""
-        if node == self.drive:
-            self.faults |= event.faults
 
 
 class CpuMeter:

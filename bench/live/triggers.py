@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.device.client import Sink
+from bench.device.heard import ClockRestarted, Heard
 from bench.errors import BenchError
 from protocol.streams import SampleChunk
 from protocol.text import did_you_mean
@@ -65,8 +65,8 @@ class Condition:
 Hit = Callable[[Condition, int, float], object]
 
 
-class Triggers(Sink):
-    """Calls `hit` with condition, device tick and value where a condition of node `drive` begins to hold.
+class Triggers:
+    """Sink that calls `hit` with condition, device tick and value where a condition of node `drive` begins to hold.
 
     A condition that holds in the first sample has begun there. One that has triggered does not again for a second.
     """
@@ -76,17 +76,18 @@ class Triggers(Sink):
         self._held = dict.fromkeys(conditions, False)
         self._until = dict.fromkeys(conditions, -1)
 
-    def samples(self, chunk: SampleChunk) -> None:
-        """Look for them."""
-        if chunk.config.node != self._drive or not len(chunk):
-            return
+    def take(self, item: Heard) -> None:
+        """Look for them in samples."""
+        if isinstance(item, SampleChunk) and item.config.node == self._drive:
+            self._look(item)
+        elif isinstance(item, ClockRestarted) and item.node == self._drive:
+            self._until = dict.fromkeys(self._until, -1)
+
+    def _look(self, chunk: SampleChunk) -> None:
         quiet = round(QUIET * chunk.config.tick_hz)
-        first = int(chunk.tick[0])
         for condition, before in self._held.items():
             true, values = condition.holds(chunk)
             self._held[condition] = bool(true[-1])
-            if first < self._until[condition] - quiet:  # its time has gone back: it has rebooted
-                self._until[condition] = -1
             for row in np.flatnonzero(true & ~np.concatenate([[before], true[:-1]])).tolist():
                 tick = int(chunk.tick[row])
                 if tick >= self._until[condition]:

@@ -14,11 +14,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from bench.device.losses import Continuity
 from bench.errors import RecordingError
 from bench.record import layout
 from bench.record.folder import RunFolder, SegmentFile
 from bench.record.info import RunInfo, stream_to_json
-from bench.record.losses import LossAccount
 from bench.record.overview import Overview
 from bench.record.reader import Run, Segment
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -59,11 +59,10 @@ class Extension:
                 self._folder.line(record)
             for number, name in enumerate(self._run.names):
                 self._folder.line({"kind": "stream", "number": number, **stream_to_json(self._configured(name), name)})
-            account = LossAccount()
+            continuity = Continuity()
             for segment in self._run.segments:
-                if segment.after_removed:
-                    account.not_kept()
-                self._segment(segment.number, segment, account, more, edges)
+                segment.begin(continuity)
+                self._segment(segment.number, segment, continuity, more, edges)
             self._folder.line({"kind": "summary", "text": summary()})
             if self._run.ended:
                 self._folder.line({"kind": "end", **self._written, "lost": self._run.lost})
@@ -81,19 +80,21 @@ class Extension:
         return self._config if stream == layout.SAMPLES else self._run.config(stream)
 
     def _segment(
-        self, number: int, segment: Segment, account: LossAccount, more: More, edges: Callable[[EdgeChunk], None]
+        self, number: int, segment: Segment, continuity: Continuity, more: More, edges: Callable[[EdgeChunk], None]
     ) -> None:
         for chunk in segment.pieces(layout.EDGES) if layout.EDGES in self._run.names else ():
             if isinstance(chunk, EdgeChunk):
-                edges(account.chunk(chunk))
+                edges(continuity.chunk(chunk))
                 self._written[layout.EDGES] += len(chunk)
         whole = segment.files and segment.intact()
         files = (
-            self._linked(number, segment, account, more) if whole else self._rewritten(number, segment, account, more)
+            self._linked(number, segment, continuity, more)
+            if whole
+            else self._rewritten(number, segment, continuity, more)
         )
         self._folder.line({"kind": "segment", "number": number, "files": files})
 
-    def _linked(self, number: int, segment: Segment, account: LossAccount, more: More) -> list[dict[str, Any]]:
+    def _linked(self, number: int, segment: Segment, continuity: Continuity, more: More) -> list[dict[str, Any]]:
         """Link the files of a segment and write one with the new columns beside them."""
         files = []
         for stream, parts in segment.files.items():
@@ -117,7 +118,7 @@ class Extension:
             while (chunk := reading.result()) is not None:
                 assert isinstance(chunk, SampleChunk)
                 reading = ahead.submit(next, pieces, None)
-                whole = more(account.chunk(chunk))
+                whole = more(continuity.chunk(chunk))
                 self._written[layout.SAMPLES] += len(whole)
                 if writing is not None:
                     writing.result()
@@ -126,7 +127,7 @@ class Extension:
                 writing.result()
         return [*files, added.finish(), overview.finish()]
 
-    def _rewritten(self, number: int, segment: Segment, account: LossAccount, more: More) -> list[dict[str, Any]]:
+    def _rewritten(self, number: int, segment: Segment, continuity: Continuity, more: More) -> list[dict[str, Any]]:
         files: dict[str, SegmentFile] = {}
 
         def add(name: str, columns: layout.Columns, table: Any, chunk: SampleChunk | EdgeChunk) -> None:
@@ -136,7 +137,7 @@ class Extension:
 
         for name in self._run.names:
             for chunk in segment.pieces(name):
-                chunk = account.chunk(chunk)
+                chunk = continuity.chunk(chunk)
                 if name == layout.SAMPLES and isinstance(chunk, SampleChunk):
                     chunk = more(chunk)
                     self._written[name] += len(chunk)

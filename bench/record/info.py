@@ -12,11 +12,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.device.heard import Heard
 from bench.signal.channels import reference_angle
 from bench.signal.colours import RGB, apart, quantity
 from bench.signal.units import RPM, pole_pairs
@@ -47,10 +48,22 @@ class Mark:
     last_tick: int
     verdict: Verdict | None = None
     """None of one that somebody has set by hand."""
+    asked: str | None = None
+    """The number under which another terminal has asked for it."""
 
     def __post_init__(self) -> None:
         if self.last_tick < self.first_tick:
             raise ValueError(f"mark {self.name}: it ends at tick {self.last_tick}, before its first, {self.first_tick}")
+
+
+class SummaryText(NamedTuple):
+    """The text that a reader of the run sees first; it replaces an earlier one."""
+
+    markdown: str
+
+
+Kept = Heard | Mark | SummaryText
+"""What a recording and a view take: all that the run hears, and what is said about it."""
 
 
 @dataclass(frozen=True)

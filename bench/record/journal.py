@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.signal.chunks import index_step
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
 MAGIC = b"HBJ1"
@@ -101,7 +100,7 @@ def _runs(chunk: SampleChunk) -> NDArray[Any]:
 
 
 def _steps(config: StreamConfig) -> tuple[int, int]:
-    return index_step(config), config.period_ticks * config.decimation
+    return config.index_step, config.period_ticks * config.decimation
 
 
 def _chunk(config: StreamConfig, data: bytes, at: int) -> SampleChunk | EdgeChunk:

@@ -91,7 +91,10 @@ def parts_of(path: Path) -> list[Path]:
 def mark_record(mark: Mark) -> dict[str, Any]:
     """A mark as a record of the log."""
     verdict = None if mark.verdict is None else mark.verdict.value
-    return {"kind": "mark", "tick": mark.first_tick, "last": mark.last_tick, "name": mark.name, "verdict": verdict}
+    asked = {} if mark.asked is None else {"id": mark.asked}
+    return {
+        "kind": "mark", "tick": mark.first_tick, "last": mark.last_tick, "name": mark.name, "verdict": verdict, **asked
+    }  # fmt: skip
 
 
 def line_of(record: Mapping[str, Any]) -> str:

@@ -9,11 +9,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from uuid import uuid4
 
+from bench.device.heard import ClockRestarted, ParameterSet
 from bench.errors import RecordingError
 from bench.files import is_run
 from bench.record import layout
 from bench.record.folder import remove
-from bench.record.info import RunInfo
+from bench.record.info import Kept, RunInfo
 from bench.record.ring import Stored
 from bench.record.writer import RunWriter
 from bench.signal.chunks import between
@@ -53,30 +54,30 @@ class Parts:
         """Samples and edges so far, of all parts."""
         return self._before[0] + self.writer.samples_written, self._before[1] + self.writer.edges_written
 
-    def samples(self, chunk: SampleChunk) -> None:
-        """Write samples. A new part begins with them where the old one has its length, or the drive has rebooted.
+    def take(self, item: Kept) -> None:
+        """Write an item. A new part begins with samples where the old one has its length, or the clock has restarted.
 
         Edges that came ahead of their samples stand in both parts then.
         """
-        if self._split is not None and len(chunk) and chunk.config.node == self._run.node:
-            first, newest = int(chunk.tick[0]), int(chunk.tick[-1])
-            self._begun = first if self._begun is None else self._begun
-            if not 0 <= first - self._begun < self._split * self._run.tick_hz:
-                self._next(first)
-            self._edges = deque((edges for edges in self._edges if int(edges.tick[-1]) > newest), AHEAD)
-        self.writer.samples(chunk)
+        if isinstance(item, ParameterSet) and item.node == self._run.node:  # the next part begins with it
+            self._run = replace(self._run, parameters={**self._run.parameters, item.name: item.value})
+        elif self._split is not None:
+            self._look(item, self._split)
+        self.writer.take(item)
 
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Write edges."""
-        if self._split is not None and len(chunk) and chunk.config.node == self._run.node:
-            self._edges.append(chunk)
-        self.writer.edges(chunk)
-
-    def parameter(self, node: int, name: str, value: float) -> None:
-        """Write that a parameter has been set: the next part begins with it."""
-        if node == self._run.node:
-            self._run = replace(self._run, parameters={**self._run.parameters, name: value})
-        self.writer.parameter(node, name, value)
+    def _look(self, item: Kept, split: float) -> None:
+        """Begin a new part where it is time for it."""
+        match item:
+            case SampleChunk(config=config, tick=tick) if config.node == self._run.node:
+                first, newest = int(tick[0]), int(tick[-1])
+                self._begun = first if self._begun is None else self._begun
+                if not 0 <= first - self._begun < split * self._run.tick_hz:
+                    self._next(first)
+                self._edges = deque((edges for edges in self._edges if int(edges.tick[-1]) > newest), AHEAD)
+            case EdgeChunk(config=config) if config.node == self._run.node:
+                self._edges.append(item)
+            case ClockRestarted():
+                self._edges.clear()
 
     def _next(self, first: int) -> None:
         """End this part and begin the next, at tick `first`."""
@@ -90,7 +91,8 @@ class Parts:
         self.writer = self._new_writer(replace(self._run, recording_id=uuid4().hex, started=now), old)
         for chunk in self._edges:
             ahead = between(chunk, first, 1 << 62)
-            self.writer.edges(replace(ahead, gaps=()))
+            if len(ahead):
+                self.writer.take(replace(ahead, gaps=()))
         self._before = samples, edges - self.writer.edges_written
 
     def _new_writer(self, run: RunInfo, old: RunWriter | None = None) -> RunWriter:

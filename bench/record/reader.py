@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bench.device.heard import ClockRestarted
+from bench.device.losses import LOSS_FIELDS, Continuity
 from bench.errors import BenchError
 from bench.files import RRD, is_run, run_folder
 from bench.record import journal, layout
 from bench.record.info import Mark, RunInfo, stream_from_json
-from bench.record.losses import LOSS_FIELDS, LossAccount
 from bench.record.memory import available, in_words
 from bench.record.overview import Overview
 from bench.signal.capture import Capture, gathered
@@ -93,7 +94,7 @@ class Run:
         self.ended = False
         """Whether it came to its end: it was not cut short, and is not being written."""
         self.lost: dict[str, int] | None = None
-        """What was missing of it by its end, see `bench.record.losses`; None where it came to no end."""
+        """What was missing of it by its end, see `bench.device.losses`; None where it came to no end."""
         self.summary = ""
         """Markdown."""
 
@@ -143,6 +144,7 @@ class Run:
         """By node: each that told anything new."""
         self.missing: list[tuple[int, int, int, int]] = []
         """Tick, node, samples and edges that did not come at the end of the streams."""
+        self._reboots: list[tuple[int, int]] = []  # number of the segment that follows, and node
         self.removed: set[int] = set()
         """Numbers of the segments that a ring has let go."""
         for record in records:
@@ -162,6 +164,8 @@ class Run:
                     changes.append(ParameterChange(record["tick"], record["from"], record["name"], value))
                 case "missing":
                     self.missing.append((record["tick"], record["from"], record["samples"], record["edges"]))
+                case "rebooted":
+                    self._reboots.append((record["segment"], record["from"]))
                 case "stream":
                     self._add_stream(record)
                 case "segment":
@@ -256,16 +260,30 @@ class Run:
             for event in self.events
         )
 
+    @cached_property
+    def restarts(self) -> Mapping[int, Sequence[ClockRestarted]]:
+        """Where the time of devices begins anew, by the number of the segment that begins so.
+
+        The log says which have rebooted; one that does not (of an earlier version, or where only a clock has jumped)
+        has streams whose ticks go back.
+        """
+        found: dict[int, list[ClockRestarted]] = {}
+        last: dict[str, tuple[int, int]] = {}  # reboots before it, and newest tick, by stream
+        for segment in self.segments:
+            for name in self.names:
+                node, span = self.config(name).node, segment.span_of(name)
+                if span is None:
+                    continue
+                boots = sum(number <= segment.number and its == node for number, its in self._reboots)
+                before, newest = last.get(name, (boots, span[0]))
+                if boots != before or span[0] < newest:
+                    found.setdefault(segment.number, []).append(ClockRestarted(node, newest, boots != before))
+                last[name] = boots, span[1]
+        return found
+
     def clock_went_back(self) -> int | None:
-        """The tick at which a stream's time starts again, because the device has rebooted; None if it never does."""
-        for name in self.names:
-            last = -1
-            for segment in self.segments:
-                span = segment.span_of(name)
-                if span is not None and span[0] < last:
-                    return last
-                last = last if span is None else span[1]
-        return None
+        """The tick after which a stream's time starts again; None if it never does."""
+        return next((restarts[0].tick for restarts in self.restarts.values()), None)
 
     def journaled(self, stream: str) -> list[SampleChunk | EdgeChunk]:
         """What the journal holds of a stream, in order."""
@@ -289,13 +307,12 @@ class Run:
         `channels`: of samples, those that are read; None: all. What is missing between two pieces is in the gaps of
         the second.
         """
-        account = LossAccount()
+        continuity = Continuity()
         config = narrowed(self.config(stream), channels)
         for segment in self.segments:
-            if segment.after_removed:
-                account.not_kept()
+            segment.begin(continuity)
             for piece in segment.pieces(stream, first, last, config):
-                yield account.chunk(piece)
+                yield continuity.chunk(piece)
 
     def chunk(
         self, stream: str, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
@@ -446,9 +463,17 @@ class Segment:
         self.number = number
 
     @property
-    def after_removed(self) -> bool:
-        """Whether the one before it has been let go."""
-        return self.number - 1 in self._run.removed
+    def restarts(self) -> Sequence[ClockRestarted]:
+        """Those at its begin, see `Run.restarts`."""
+        return self._run.restarts.get(self.number, ())
+
+    def begin(self, continuity: Continuity) -> None:
+        """Tell what follows the index from chunk to chunk what lies between this segment and the one before."""
+        if self.number - 1 in self._run.removed:
+            continuity.not_kept()
+        for restarted in self.restarts:
+            if restarted.rebooted:
+                continuity.restarted(restarted.node)
 
     @property
     def files(self) -> Mapping[str, tuple[StoredFile, ...]]:

@@ -27,13 +27,13 @@ FOR_EVER = Stored()
 class Ring:
     """Lets a segment go when it ended more than `keep` s ago, unless it has what led to a moment worth keeping.
 
-    `keep` is `LEAST` or more, in s of the device's time, of which `hz` ticks are a second. That time may begin again:
-    the device has rebooted.
+    `keep` is `LEAST` or more, in s of the device's time, of which `hz` ticks are a second. That time may begin
+    anew, see `restarted`.
     """
 
     def __init__(self, keep: float, hz: int) -> None:
         self._keep, self._before, self._after = (round(seconds * hz) for seconds in (keep, BEFORE, AFTER))
-        self._second = hz
+        self._restarted = False  # since the last segment
         self._shift = 0  # from device ticks to ticks that go on over a reboot
         self._newest = 0  # of those that go on
         self._told: list[tuple[int, int]] = []  # moments of the segment that is being written, device ticks
@@ -44,10 +44,14 @@ class Ring:
         """Keep what is around the device ticks `first` to `last`, in the segment that is being written or before."""
         self._told.append((first, last))
 
+    def restarted(self) -> None:
+        """The device's time begins anew after the last segment."""
+        self._restarted = bool(self._segments)
+
     def ended(self, number: int, first: int, last: int) -> list[int]:
         """A segment has ended, of the device ticks `first` to `last`. Returns the numbers of those that can go."""
-        if first + self._shift < self._newest - self._second and self._segments:
-            self._shift = self._newest - first  # it has rebooted; streams that overlap a little are no such thing
+        if self._restarted:
+            self._shift, self._restarted = self._newest - first, False
         self._moments += [(a + self._shift, b + self._shift) for a, b in self._told]
         self._told.clear()
         self._newest = last + self._shift

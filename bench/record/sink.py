@@ -15,18 +15,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
-from bench.device.client import Sink
 from bench.errors import RecordingError
 from bench.record import space
-from bench.record.info import Mark, RunInfo
+from bench.record.info import Kept, Mark, RunInfo
 from bench.record.marks import Inbox
 from bench.record.parts import Parts
 from bench.record.ring import FOR_EVER, Stored
 from bench.signal.percentiles import Percentiles
-from bench.signal.verdict import Verdict
-from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
 
 SYNC_PERIOD = 1.0  # s: what a power cut can cost
@@ -36,10 +34,10 @@ INBOX_PERIOD = 0.05  # s between looks for marks that were asked for
 SPACE_PERIOD = 2.0  # s between looks at the room on the disk
 
 Now = Callable[[], float]
-_Item = tuple[Callable[[Parts], None], int] | None  # what is to be done, and its bytes; None ends
+_Queued = tuple[Kept, float | None]  # and when the first sample of a chunk was taken
 
 
-class RunSink(Sink):
+class RunSink:
     """Records to the folder `path`. Raises RecordingError if that exists (unless `overwrite`) or cannot be made.
 
     `news` is what a person should be told, text and level, oldest first: whoever shows it takes it out.
@@ -71,7 +69,7 @@ class RunSink(Sink):
         self.error: RecordingError | None = None
         self._raised = False
         self._wait, self._now = wait, now
-        self._queue: queue.SimpleQueue[_Item] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[_Queued | None] = queue.SimpleQueue()
         self._backlog = 0
         self._taken = threading.Condition()
         self._room = space.Room(stored.keep or math.inf)
@@ -84,57 +82,20 @@ class RunSink(Sink):
 
     # -- what comes ---------------------------------------------------------------------------------------------
 
-    def samples(self, chunk: SampleChunk) -> None:
-        """Take samples."""
-        taken: float | None = self._now()
-        if self.host_time is not None and len(chunk):
-            taken = self.host_time(float(chunk.tick[0]))
-
-        def write(parts: Parts) -> None:
-            parts.samples(chunk)
-            if taken is not None:
-                self.latency.add(self._now() - taken, len(chunk))
-
-        self._put(write, chunk.raw.nbytes + chunk.index.nbytes + chunk.tick.nbytes)
-
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Take Hall edges."""
-        self._put(lambda parts: parts.edges(chunk), 21 * len(chunk))
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Take a heartbeat."""
-        self._put(lambda parts: parts.writer.heartbeat(node, heartbeat))
-
-    def event(self, node: int, event: DeviceEvent) -> None:
-        """Take an event of the drive."""
-        self._put(lambda parts: parts.writer.event(node, event))
-
-    def missing(self, node: int, samples: int, edges: int) -> None:
-        """Take what was lost at the end of the streams."""
-        self._put(lambda parts: parts.writer.missing(node, samples, edges))
-
-    def note(self, text: str, level: str = "INFO", tick: int | None = None) -> None:
-        """Take a line of the host's for the log; `level`: INFO, WARN, ERROR.
-
-        It stands at the newest device time seen, or at `tick`.
-        """
-        self._put(lambda parts: parts.writer.note(text, level, tick))
-
-    def parameter(self, node: int, name: str, value: float) -> None:
-        """Take a parameter that was set."""
-        self._put(lambda parts: parts.parameter(node, name, value))
-
-    def summary(self, markdown: str) -> None:
-        """Take the summary, which replaces an earlier one."""
-        self._put(lambda parts: parts.writer.summary(markdown))
-
-    def mark(self, name: str, first_tick: int, last_tick: int, verdict: Verdict | None = None) -> None:
-        """Mark a stretch of the run: `name` was measured there, and ended so. From any thread; marks may overlap.
-
-        Raises ValueError for a stretch that ends before it begins.
-        """
-        mark = Mark(name, first_tick, last_tick, verdict)
-        self._put(lambda parts: parts.writer.mark(mark))
+    def take(self, item: Kept) -> None:
+        """Have an item written; from any thread."""
+        if self.error is not None:
+            return
+        taken: float | None = None
+        if isinstance(item, SampleChunk):
+            taken = self._now() if self.host_time is None else self.host_time(float(item.tick[0]))
+        with self._taken:
+            if self._wait:
+                self._taken.wait_for(lambda: self._backlog < BACKLOG_LIMIT or self.error is not None)
+            elif self._backlog > BACKLOG_LIMIT:
+                self._fail(f"{self._backlog >> 20} MiB wait to be written; use a faster disk, --rate or --channels")
+            self._backlog += _size(item)
+        self._queue.put((item, taken))
 
     @property
     def parts(self) -> tuple[Path, ...]:
@@ -169,33 +130,15 @@ class RunSink(Sink):
 
     # -- the thread ---------------------------------------------------------------------------------------------
 
-    def _put(self, write: Callable[[Parts], None], size: int = 0) -> None:
-        if self.error is not None:
-            return
-        with self._taken:
-            if self._wait:
-                self._taken.wait_for(lambda: self._backlog < BACKLOG_LIMIT or self.error is not None)
-            elif self._backlog > BACKLOG_LIMIT:
-                self._fail(f"{self._backlog >> 20} MiB wait to be written; use a faster disk, --rate or --channels")
-            self._backlog += size
-        self._queue.put((write, size))
-
     def _work(self) -> None:
         synced = looked = asked = time.monotonic()
         try:
             while True:
-                try:
-                    item = self._queue.get(timeout=INBOX_PERIOD)
-                except queue.Empty:
-                    item = (_nothing, 0)
-                if item is None:
-                    break
-                write, size = item
-                write(self._parts)
-                if size:
-                    with self._taken:
-                        self._backlog -= size
-                        self._taken.notify_all()
+                with suppress(queue.Empty):
+                    queued = self._queue.get(timeout=INBOX_PERIOD)
+                    if queued is None:
+                        break
+                    self._write(*queued)
                 now = time.monotonic()
                 if now - asked >= INBOX_PERIOD:
                     self._take_marks()
@@ -216,6 +159,15 @@ class RunSink(Sink):
         finally:
             self._parts.writer.abandon()
 
+    def _write(self, item: Kept, taken: float | None) -> None:
+        self._parts.take(item)
+        if taken is not None and isinstance(item, SampleChunk):
+            self.latency.add(self._now() - taken, len(item))
+        if size := _size(item):
+            with self._taken:
+                self._backlog -= size
+                self._taken.notify_all()
+
     def _take_marks(self) -> None:
         """Write the marks that were asked for, at the device time of the moment in which they were."""
         for asked in self._inbox.new(self._parts.writer.path):
@@ -223,7 +175,7 @@ class RunSink(Sink):
             at = None if self.host_time is None else self.host_time(float(tick))
             if at is not None:
                 tick = max(0, tick + round((asked.host - at) * hz))
-            self._parts.writer.mark(Mark(asked.text, tick, tick), asked.id)
+            self._parts.take(Mark(asked.text, tick, tick, asked=asked.id))
             self.news.append((f"mark: {asked.text}, at {tick / hz:.3f} s", "INFO"))
 
     # -- the disk -----------------------------------------------------------------------------------------------
@@ -249,8 +201,14 @@ class RunSink(Sink):
             self._taken.notify_all()
 
 
-def _nothing(parts: Parts) -> None:
-    """Done while nothing comes."""
+def _size(item: Kept) -> int:
+    """Bytes that an item holds, roughly; 0 of what is small."""
+    match item:
+        case SampleChunk():
+            return item.raw.nbytes + item.index.nbytes + item.tick.nbytes
+        case EdgeChunk():
+            return 21 * len(item)
+    return 0
 
 
 def _why(path: Path, free: int, error: Exception) -> str:

@@ -1,8 +1,8 @@
-"""Writes a run: chunks, events and marks in, files out. No thread, no queue, no clock of its own.
+"""Writes a run: what it hears in, files out. No thread, no queue, no clock of its own.
 
 Whatever arrives is appended at once: chunks to the journal, everything else to the log. Every ten seconds of device
 time become a row group, every minute a segment: a Parquet file for each stream, one line in the log, and a new journal.
-A device whose time goes back has rebooted, and begins a new segment. A ring lets old segments go, a whole one at a
+A device that has rebooted, or whose time goes back, begins a new segment. A ring lets old segments go, a whole one at a
 time: first its line `removed` is on the disk, then its files go.
 """
 
@@ -16,15 +16,17 @@ from typing import Any
 
 import numpy as np
 
+from bench.device.heard import Chunk, ClockRestarted, Missing, Note, ParameterSet
+from bench.device.losses import LossAccount
 from bench.record import journal, layout
 from bench.record.folder import RunFolder, SegmentFile, append_to, write_all
-from bench.record.info import Mark, RunInfo, stream_to_json
+from bench.record.info import Kept, Mark, RunInfo, SummaryText, stream_to_json
 from bench.record.layout import Columns
-from bench.record.losses import LossAccount
 from bench.record.overview import BIN, Overview
 from bench.record.ring import Ring
 from bench.signal.chunks import join, part
-from protocol.messages import DeviceEvent, EventCode, Heartbeat
+from protocol.host import DeviceEventReceived, HeartbeatReceived
+from protocol.messages import EventCode, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 PIECE = 0.5  # s of device time that become columns at once: what takes longer would keep the rest of a program waiting
@@ -57,12 +59,13 @@ class RunWriter:
         """Seconds of device time in segments that have ended, and the bytes that their files took."""
         self._ring = None if keep is None else Ring(keep, info.tick_hz)
         self._streams: dict[object, _Stream] = {}
-        self._by_config: dict[int, tuple[StreamConfig, _Stream]] = {}
+        self._by_config: dict[StreamConfig, _Stream] = {}
         self._overview: Overview | None = None
         self._overview_file: SegmentFile | None = None
         self._number = 1  # of the segment that is being written
         self._begun: int | None = None  # its first tick
-        self._newest = 0  # tick
+        self.newest = 0
+        """The newest device time of the drive, in ticks."""
         self._told: dict[int, tuple[object, ...]] = {}  # of the last heartbeat that was logged, by node
         self._folder = RunFolder(path, info, overwrite)
         self._line = self._folder.line
@@ -71,30 +74,39 @@ class RunWriter:
 
     # -- what comes ---------------------------------------------------------------------------------------------
 
-    def samples(self, chunk: SampleChunk) -> None:
-        """Write samples."""
-        if len(chunk):
-            self._chunk(chunk)
-            self.samples_written += len(chunk)
+    def take(self, item: Kept) -> None:
+        """Write an item: a heartbeat only if it tells anything new."""
+        self.account.take(item)
+        match item:
+            case SampleChunk():
+                self._chunk(item)
+                self.samples_written += len(item)
+            case EdgeChunk():
+                self._chunk(item)
+                self.edges_written += len(item)
+            case HeartbeatReceived(node=node, heartbeat=heartbeat):
+                self._heartbeat(node, heartbeat)
+            case DeviceEventReceived(node=node, event=event):
+                if event.code == EventCode.FAULT:
+                    self._moment(event.tick, event.tick)
+                name = EventCode(event.code).name if event.code in list(EventCode) else str(event.code)
+                self._line({"kind": "event", **asdict(event), "node": node, "name": name})
+            case ClockRestarted():
+                self._restart(item)
+            case Missing():
+                self._said("missing", item)
+            case ParameterSet():
+                self._said("parameter", item)
+            case Note():
+                self._line({"kind": "note", **item._asdict()})
+            case Mark():
+                self._moment(item.first_tick, item.last_tick)
+                self._line(layout.mark_record(item))
+            case SummaryText(markdown=text):
+                self._line({"kind": "summary", "text": text})
 
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Write Hall edges."""
-        if len(chunk):
-            self._chunk(chunk)
-            self.edges_written += len(chunk)
-
-    def event(self, node: int, event: DeviceEvent) -> None:
-        """Write an event of a device."""
-        self._seen(event.tick)
-        if event.code == EventCode.FAULT:
-            self._moment(event.tick, event.tick)
-        name = EventCode(event.code).name if event.code in list(EventCode) else str(event.code)
-        self._line({"kind": "event", **asdict(event), "node": node, "name": name})
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Write a heartbeat if it tells anything new."""
-        self._seen(heartbeat.tick)
-        self.account.heartbeat(node, heartbeat)
+    def _heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        self._seen(node, heartbeat.tick)
         told = tuple(getattr(heartbeat, name) for name in _TOLD)
         if self._told.get(node) != told:
             if heartbeat.faults:  # its event may have been lost with the link
@@ -102,32 +114,21 @@ class RunWriter:
             self._told[node] = told
             self._line({"kind": "heartbeat", "from": node, **asdict(heartbeat)})
 
-    def missing(self, node: int, samples: int, edges: int) -> None:
-        """Write that so many records did not come at the end of the streams."""
-        self.account.missing(samples, edges)
-        self._line({"kind": "missing", "tick": self._newest, "from": node, "samples": samples, "edges": edges})
+    def _restart(self, restarted: ClockRestarted) -> None:
+        """Begin a new segment, in which the time of a device starts anew."""
+        self._end_segment()
+        node, tick, rebooted = restarted
+        if rebooted:
+            self._line({"kind": "rebooted", "tick": tick, "from": node, "segment": self._number})
+        if node == self.info.node:
+            self.newest = 0
+            if self._ring is not None:
+                self._ring.restarted()
 
-    def note(self, text: str, level: str = "INFO", tick: int | None = None) -> None:
-        """Write a line of the host's, at the newest device time seen or at `tick`."""
-        self._line({"kind": "note", "tick": self._newest if tick is None else tick, "level": level, "text": text})
-
-    def parameter(self, node: int, name: str, value: float) -> None:
-        """Write that a parameter has been set."""
-        self._line({"kind": "parameter", "tick": self._newest, "from": node, "name": name, "value": value})
-
-    def mark(self, mark: Mark, asked: str | None = None) -> None:
-        """Write a mark; `asked`: the number of what was asked for."""
-        self._moment(mark.first_tick, mark.last_tick)
-        self._line(layout.mark_record(mark) | ({} if asked is None else {"id": asked}))
-
-    @property
-    def newest(self) -> int:
-        """The newest device time seen, in ticks."""
-        return self._newest
-
-    def summary(self, markdown: str) -> None:
-        """Write the summary, which replaces an earlier one."""
-        self._line({"kind": "summary", "text": markdown})
+    def _said(self, kind: str, item: Missing | ParameterSet) -> None:
+        """Write a line with all of an item of a node."""
+        told = item._asdict()
+        self._line({"kind": kind, "tick": told.pop("tick"), "from": told.pop("node"), **told})
 
     def sync(self) -> None:
         """Have the disk take what was written, so that a power cut costs no more than what comes after."""
@@ -160,11 +161,9 @@ class RunWriter:
 
     # -- chunks -------------------------------------------------------------------------------------------------
 
-    def _chunk(self, chunk: SampleChunk | EdgeChunk) -> None:
-        chunk = self.account.chunk(chunk)
+    def _chunk(self, chunk: Chunk) -> None:
         first, last = int(chunk.tick[0]), int(chunk.tick[-1])
-        known = self._by_config.get(id(chunk.config))
-        stream = known[1] if known else self._stream_of(chunk.config)
+        stream = self._by_config.get(chunk.config) or self._stream_of(chunk.config)
         hz = self.info.tick_hz
         if first < stream.last or (self._begun is not None and first - self._begun >= SEGMENT * hz):
             self._end_segment()
@@ -172,7 +171,7 @@ class RunWriter:
         write_all(self._journal, journal.frame(stream.number, chunk))
         stream.last = last
         stream.pending.append(chunk)
-        self._seen(last)
+        self._seen(chunk.config.node, last)
         if last - int(stream.pending[0].tick[0]) >= PIECE * hz:
             self._piece(stream, last - last % round(BIN * hz))
         if stream.pieces and last - stream.pieces[0].first >= ROW_GROUP * hz:
@@ -182,7 +181,7 @@ class RunWriter:
         """Make columns of what waits, up to tick `end`: a bin of the overview is of one piece."""
         if not stream.pending:
             return
-        whole: SampleChunk | EdgeChunk = join(stream.pending)
+        whole: Chunk = join(stream.pending)
         stream.pending.clear()
         if end is not None:
             n = int(np.searchsorted(whole.tick, end))
@@ -263,12 +262,12 @@ class RunWriter:
             columns = layout.stream_columns(config, name, self.info)
             stream = self._streams[key] = _Stream(name, len(self._streams), columns)
             self._line({"kind": "stream", "number": stream.number, **stream_to_json(config, name)})
-        self._by_config[id(config)] = config, stream  # the configuration is kept alive, so that its id stays its own
+        self._by_config[config] = stream
         return stream
 
-    def _seen(self, tick: int) -> None:
-        if tick > self._newest or tick + self.info.tick_hz < self._newest:  # going back: the drive has rebooted
-            self._newest = tick
+    def _seen(self, node: int, tick: int) -> None:
+        if node == self.info.node:
+            self.newest = max(self.newest, tick)
 
 
 @dataclass(frozen=True)

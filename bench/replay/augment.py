@@ -46,7 +46,7 @@ class Augmenter:
         self.estimators = Estimators(observers, parameters, stream)
         self.channels = host_channels([entry.short for entry in self.estimators.entries], stream.channels)
         self._node = stream.node
-        self._configs: dict[int, tuple[StreamConfig, StreamConfig]] = {}  # by id: as it came, which keeps it alive
+        self._configs: dict[StreamConfig, StreamConfig] = {}
 
     def take(self, chunk: SampleChunk | EdgeChunk) -> SampleChunk | EdgeChunk:
         """Samples of the drive with the estimates, after its edges up to them; all else as it is."""
@@ -71,6 +71,6 @@ class Augmenter:
         return replace(chunk, config=config, raw=raw)
 
     def _config(self, config: StreamConfig) -> StreamConfig:
-        if id(config) not in self._configs:
-            self._configs[id(config)] = config, replace(config, channels=(*config.channels, *self.channels))
-        return self._configs[id(config)][1]
+        if config not in self._configs:
+            self._configs[config] = replace(config, channels=(*config.channels, *self.channels))
+        return self._configs[config]

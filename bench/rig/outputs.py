@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from bench.errors import BenchError, RecordingError
 from bench.files import RRD, check_output, run_folder
-from bench.record.info import RunInfo
+from bench.record.info import Mark, RunInfo, SummaryText
 from bench.record.ring import FOR_EVER, Stored
 from bench.signal.percentiles import Percentiles
+from bench.signal.verdict import Verdict
 
 if TYPE_CHECKING:
     from bench.record.sink import RunSink
@@ -106,17 +107,15 @@ class Outputs:
         while self.file is not None and self.file.news:
             yield self.file.news.popleft()
 
-    def mark(self, name: str, first_tick: int, last_tick: int) -> None:
-        """Mark a stretch of the recording, if there is one."""
+    def mark(self, name: str, first_tick: int, last_tick: int, verdict: Verdict | None = None) -> None:
+        """Mark a stretch of the recording, if there is one: `name` was measured there, and ended so."""
         if self.file is not None:
-            self.file.mark(name, first_tick, last_tick)
+            self.file.take(Mark(name, first_tick, last_tick, verdict))
 
     def summary(self, markdown: str) -> None:
         """The text that a reader of recording and view sees first."""
-        if self.view is not None:
-            self.view.sink.summary(markdown)
-        if self.file is not None:
-            self.file.summary(markdown)
+        for sink in self.sinks:
+            sink.take(SummaryText(markdown))
 
     @property
     def latency(self) -> Percentiles | None:

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bench.device.client import Sink
 from bench.device.counters import DeviceCounters
+from bench.device.heard import Heard, Missing
 from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.chunks import between, join, lost_stretches, no_edges
-from protocol.messages import Heartbeat
+from protocol.host import HeartbeatReceived
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from protocol.text import counted
 
 MAX_TICK = 1 << 62  # that no device reaches
 
 
-class Recorder(Sink):
-    """Everything that node `drive` streams, from now on; its edges come as `expect` said."""
+class Recorder:
+    """Sink that keeps everything that node `drive` streams, from now on; its edges come as `expect` said."""
 
     def __init__(self, drive: int) -> None:
         self.tick_hz = 0
@@ -35,29 +35,23 @@ class Recorder(Sink):
 
     # -- sink ---------------------------------------------------------------------------------------------------
 
-    def samples(self, chunk: SampleChunk) -> None:
-        """Keep samples."""
-        before = self.newest if self._samples else int(chunk.tick[0])
-        self.dropped += lost_stretches(chunk, before)
-        self._samples.append(chunk)
-
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Keep edges."""
-        self.dropped += lost_stretches(chunk, self._last_edge)
-        if len(chunk):
-            self._last_edge = int(chunk.tick[-1])
-        self._edges.append(chunk)
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Follow the drive's own counts."""
-        if node == self._drive:
-            self.device.add(heartbeat)
-
-    def missing(self, node: int, samples: int, edges: int) -> None:
-        """Remember what was lost at the end of the streams."""
-        for n, noun, since in ((samples, "sample", self.newest), (edges, "Hall edge", self._last_edge)):
-            if node == self._drive and n:
-                self.dropped.append((since, MAX_TICK, f"{counted(n, noun)} after {self._at(since)} were lost"))
+    def take(self, item: Heard) -> None:
+        """Keep samples and edges, follow the drive's own counts, remember what was lost."""
+        match item:
+            case SampleChunk():
+                before = self.newest if self._samples else int(item.tick[0])
+                self.dropped += lost_stretches(item, before)
+                self._samples.append(item)
+            case EdgeChunk():
+                self.dropped += lost_stretches(item, self._last_edge)
+                self._last_edge = int(item.tick[-1])
+                self._edges.append(item)
+            case HeartbeatReceived(node=self._drive, heartbeat=heartbeat):
+                self.device.add(heartbeat)
+            case Missing(node=self._drive, samples=samples, edges=edges):
+                for n, noun, since in ((samples, "sample", self.newest), (edges, "Hall edge", self._last_edge)):
+                    if n:
+                        self.dropped.append((since, MAX_TICK, f"{counted(n, noun)} after {self._at(since)} were lost"))
 
     # -- for the rig --------------------------------------------------------------------------------------------
 

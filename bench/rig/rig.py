@@ -15,7 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Self
 
-from bench.device.client import POLL, Client, Sink
+from bench.device.client import POLL, Client
+from bench.device.heard import Sink
 from bench.device.node import ClockFit, Node
 from bench.device.safety import is_off, says
 from bench.errors import BenchError, DriveFailed, OutputsMayBeOn
@@ -558,9 +559,9 @@ class Rig:
 
     def mark(self, name: str, span: tuple[float, float], verdict: Verdict) -> None:
         """Show in the recording that `name` was measured in `span`, device time in s, and how that ended."""
-        if self.outputs is not None and self.outputs.file is not None:
+        if self.outputs is not None:
             first, last = (round(t * self.recorder.tick_hz) for t in span)
-            self.outputs.file.mark(name, first, last, verdict)
+            self.outputs.mark(name, first, last, verdict)
 
     def note(self, text: str, level: str = "INFO") -> None:
         """A line in the log of recording and dashboard."""

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.device.client import Sink
+from bench.device.heard import Heard
 from bench.signal.channels import flagged, reference_angle, speed_channel
 from bench.signal.chunks import join, part
 from bench.signal.position import states, wrap
@@ -173,7 +173,7 @@ class Runaway:
         return now - sensor.since >= PATIENCE and not (sensor is self._own and self._asked == 0.0)
 
 
-class RunawayGuard(Runaway, Sink):
+class RunawayGuard(Runaway):
     """Sink that looks at the samples of `stream` and, with `edges`, at its drive's Hall edges.
 
     `parameters`: the drive's, by name, as they are at any time. `forced`: the mechanical speed, rad/s, that a load
@@ -209,10 +209,14 @@ class RunawayGuard(Runaway, Sink):
         forced = self._forced()
         return super()._aims if forced is None else (*super()._aims, forced * (self._n_p or 0))
 
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Follow the Hall sensors."""
-        if chunk.config.node != self._stream.node or not len(chunk):
-            return
+    def take(self, item: Heard) -> None:
+        """Follow Hall sensors, encoder and estimate."""
+        if isinstance(item, EdgeChunk) and item.config.node == self._stream.node:
+            self._edges_came(item)
+        elif isinstance(item, SampleChunk) and item.config.node == self._stream.node and self._asked is not None:
+            self._samples_came(item)
+
+    def _edges_came(self, chunk: EdgeChunk) -> None:
         first, last = self._last_edge, int(chunk.tick[-1])
         self._last_edge = last
         if first is None or first >= last or any(gap.lost_samples for gap in chunk.gaps):
@@ -221,10 +225,7 @@ class RunawayGuard(Runaway, Sink):
         self.by_edges(time, (last - first) / chunk.config.tick_hz, steps_between(chunk.hall_old, chunk.hall_new))
         self.judge(time)
 
-    def samples(self, chunk: SampleChunk) -> None:
-        """Follow encoder and estimate."""
-        if self._asked is None or chunk.config.node != self._stream.node or not len(chunk):
-            return
+    def _samples_came(self, chunk: SampleChunk) -> None:
         self._waiting.append(chunk)
         self._held += len(chunk)
         if self._held >= max(BLOCK * chunk.config.rate, 3):

@@ -92,11 +92,6 @@ def streams_none(edges: StreamConfig) -> bool:
 # -- what is missing ------------------------------------------------------------------------------------------------
 
 
-def index_step(config: StreamConfig) -> int:
-    """How far the index advances from record to record of a stream."""
-    return config.decimation if config.channels else 1
-
-
 def breaks(index: I64, step: int = 1, expected: int | None = None) -> I64:
     """Positions before which records are missing, of an index (n,) that grows by `step`, n > 0.
 
@@ -108,7 +103,7 @@ def breaks(index: I64, step: int = 1, expected: int | None = None) -> I64:
 
 def contiguous(chunk: SampleChunk) -> list[slice]:
     """The stretches of a chunk without a gap."""
-    bounds = [0, *breaks(chunk.index, index_step(chunk.config)).tolist(), len(chunk)]
+    bounds = [0, *breaks(chunk.index, chunk.config.index_step).tolist(), len(chunk)]
     return [slice(a, b) for a, b in pairwise(bounds)]
 
 

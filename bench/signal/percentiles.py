@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ class Percentiles:
 
     def __init__(self) -> None:
         self.n = 0
+        self._lock = threading.RLock()  # one thread may ask while another adds
         self._waiting: list[NDArray[np.float64]] = []  # not looked at yet, so that few at a time cost little
         self._looked_at = 0
         self._top = np.empty(0)
@@ -29,10 +31,11 @@ class Percentiles:
 
     def add(self, values: NDArray[np.float64] | float, count: int = 1) -> None:
         """Add magnitudes, shape (n,), or one, each `count` times."""
-        self._waiting.append(np.repeat(values, count))
-        self.n += len(self._waiting[-1])
-        if self.n - self._looked_at > self.KEPT:
-            self._look()
+        with self._lock:
+            self._waiting.append(np.repeat(values, count))
+            self.n += len(self._waiting[-1])
+            if self.n - self._looked_at > self.KEPT:
+                self._look()
 
     def merge(self, other: Percentiles) -> None:
         """Add those that another has."""
@@ -46,6 +49,10 @@ class Percentiles:
 
     def at(self, percent: float) -> float:
         """The value that `percent` of them do not exceed; NaN before the first one."""
+        with self._lock:
+            return self._at(percent)
+
+    def _at(self, percent: float) -> float:
         self._look()
         if not self.n:
             return math.nan

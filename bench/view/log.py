@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,11 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from bench.device.counters import DeviceCounters
+from bench.device.heard import ClockRestarted, Note
 from bench.record.info import AnyChannel, Mark, RunInfo, ns_from_tick
 from bench.record.layout import EDGE_FIELDS, numbers, stream_key, stream_name
 from bench.record.overview import ERROR
-from bench.signal.chunks import Chunk, index_step, join
+from bench.signal.chunks import Chunk, join
 from bench.signal.position import position_error
 from bench.view import markdown, schema, states
 from bench.view.blocks import Block
@@ -32,6 +33,7 @@ from bench.view.last_second import LastSecond
 from bench.view.plane import Picture, Plane
 from bench.view.plots import LEGEND_SHARE, TREND, Line, Plot, left_out, plots, trend_lines
 from bench.view.trend import Rows, TrendBinner
+from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import DeviceEvent, DriveState, EventCode, Heartbeat
 from protocol.signals import STATUS_SOURCE_MASK, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -43,7 +45,6 @@ TREND_BIN = 0.01  # s
 TREND_LOT = 10  # bins, at least, that go out together
 GUIDE_STEP, GUIDE_ROWS = 0.025, 4  # s between two rows of the guides, and how many go out together
 ROOM_PERIOD = 0.5  # s, at least, between two rows that give the long plots of a live view room
-RESTART_NS = 10_000_000_000  # device time that goes back by more (than within any block) has started anew
 
 _SHOWN_STATUS = np.uint8(0xFF & ~int(Status.OBSERVERS_RESET))  # ~ of the flag itself would keep known flags only
 Values = NDArray[Any]
@@ -72,8 +73,9 @@ class RunLog:
         self.run = run
         self._stream = stream
         self._now_ns = 0  # newest device time seen
+        self._restarted = False  # the drive's clock, and nothing has been seen since
         self._streams: dict[object, _Stream] = {}
-        self._by_config: dict[int, _Stream] = {}  # the same, by id of the configuration
+        self._by_config: dict[StreamConfig, _Stream] = {}
         self._layouts: dict[tuple[str, ...], pa.Schema] = {}
         self._lanes: dict[str, str] = dict.fromkeys(states.lanes(run), states.UNKNOWN)
         self._drive = states.drive_entity(run)
@@ -124,19 +126,20 @@ class RunLog:
 
     def _block(self, block: Block) -> None:
         self._losses |= block.losses
-        for stream, edges in self._by_stream(block.edges):
+        self._restarted |= any(restarted.node == self.run.node for restarted in block.of(ClockRestarted))
+        for stream, edges in self._by_stream(block.of(EdgeChunk)):
             self._edges(stream, join(edges))
-        for stream, samples in self._by_stream(block.samples):
+        for stream, samples in self._by_stream(block.of(SampleChunk)):
             self._samples(stream, join(samples))
         if self._now_ns >= self._next_lot_ns:
             self._next_lot_ns = self._now_ns + self._lot_ns
             self._send_lot()
         self._log_last_second()
-        for node, event in block.events:
+        for node, event in block.of(DeviceEventReceived):
             self._event(node, event)
-        for node, heartbeat in block.heartbeats:
+        for node, heartbeat in block.of(HeartbeatReceived):
             self._heartbeat(node, heartbeat)
-        for tick, text, level in block.notes:
+        for tick, text, level in block.of(Note):
             self._at(int(ns_from_tick(tick, self.run.tick_hz)))
             self._stream.log(schema.NOTES, _line(text, level))
         if self._lanes_ns and self._now_ns - self._lanes_ns >= REPEAT * 1e9:
@@ -211,8 +214,9 @@ class RunLog:
         self._send_lot()
 
     def _reach(self, t_ns: int) -> None:
-        """Device time has come to `t_ns`; when the drive has rebooted it starts anew."""
-        if t_ns + RESTART_NS < self._now_ns:
+        """Device time has come to `t_ns`; when its clock has restarted it starts anew."""
+        if self._restarted:
+            self._restarted = False
             self._send_rest()
             self._next_plane_ns = self._next_health_ns = self._next_room_ns = self._next_lot_ns = t_ns
             self._lanes_ns = self._now_ns = t_ns
@@ -297,7 +301,7 @@ class RunLog:
     def _by_stream(self, chunks: Sequence[Chunk]) -> list[tuple[_Stream, list[Chunk]]]:
         groups: dict[str, tuple[_Stream, list[Chunk]]] = {}
         for chunk in chunks:
-            stream = self._by_config.get(id(chunk.config)) or self._stream_of(chunk.config)
+            stream = self._by_config.get(chunk.config) or self._stream_of(chunk.config)
             groups.setdefault(stream.entity, (stream, []))[1].append(chunk)
         return list(groups.values())
 
@@ -307,8 +311,7 @@ class RunLog:
         if stream is None:
             entity = stream_name(config, self.run.node, [known.entity for known in self._streams.values()])
             stream = self._streams[key] = _Stream(entity, tuple(map(_Column, config.channels)))
-        stream.configs.append(config)  # keeps it alive, so that its id stays its own
-        self._by_config[id(config)] = stream
+        self._by_config[config] = stream
         return stream
 
     def _at(self, t_ns: int) -> None:
@@ -395,7 +398,7 @@ class RunLog:
     def _telemetry_lane(self, t_ns: NDArray[np.int64], chunk: SampleChunk) -> None:
         if not chunk.gaps and self._lanes["telemetry"] == states.COMPLETE:
             return
-        step = round(index_step(chunk.config) * 1e9 / self.run.pwm_hz)
+        step = round(chunk.config.index_step * 1e9 / self.run.pwm_hz)
         for gap in chunk.gaps:
             end = int(t_ns[gap.position])
             if gap.lost_samples:
@@ -472,11 +475,10 @@ class _Column:
 
 @dataclass(slots=True)
 class _Stream:
-    """Where a stream goes, and the configurations under which it came."""
+    """Where a stream goes."""
 
     entity: str
     columns: tuple[_Column, ...]
-    configs: list[StreamConfig] = field(default_factory=list)
 
 
 _DERIVED = (schema.U_ABS, schema.U_LIMIT)

@@ -1,6 +1,6 @@
 """The live view of a run: a sink with a thread and a rerun stream of its own.
 
-The acquisition thread calls `samples`, `edges`, … here and never waits: rerun is only called from the sink's thread.
+The acquisition thread calls `take` here and never waits: rerun is only called from the sink's thread.
 The queue is short, and what does not fit is dropped and counted. So a slow, stopped or dead viewer costs live frames,
 never recorded samples.
 """
@@ -15,13 +15,13 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from bench.device.client import Sink
-from bench.record.info import RunInfo
+from bench.device.heard import ClockRestarted
+from bench.record.info import Kept, Mark, RunInfo, SummaryText
 from bench.signal.percentiles import Percentiles
 from bench.view import schema
 from bench.view.blocks import Block, BlockBuilder
-from protocol.messages import DeviceEvent, Heartbeat
-from protocol.streams import EdgeChunk, SampleChunk
+from protocol.host import HeartbeatReceived
+from protocol.streams import SampleChunk
 from sim.interrupts import Held
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ LIVE_QUEUE, HOLD_QUEUE = 20, 3  # blocks
 LIVE_CLOSE_TIMEOUT = 2.0  # s for a viewer to take what is left
 
 Now = Callable[[], float]
-_Item = Block | str  # a block, or the text of the summary
+_Item = Block | SummaryText
 
 
-class LiveSink(Sink):
+class LiveSink:
     """Serves a run to viewers on this machine, at `url`, from a gRPC server in this process on `port`.
 
     Viewers may come, stall and go at any time; `dropped_blocks` and `dropped_samples` tell what they did not get. With
@@ -77,46 +77,26 @@ class LiveSink(Sink):
         self._thread.start()
         self._ready.wait(READY_TIMEOUT)  # until it has imported what it needs, because streaming data would not wait
 
-    def samples(self, chunk: SampleChunk) -> None:
-        """Take samples."""
+    def take(self, item: Kept) -> None:
+        """Have an item shown; edges go out no later than the samples that follow them. Marks are the recording's."""
         now = self._now()
-        taken: float | None = now
-        if self.host_time is not None and len(chunk):
-            taken = self.host_time(float(chunk.tick[0]))
-        self._builder.samples(chunk, now, taken)
-        self._pass_on(now)
-
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Take Hall edges; they go out no later than the samples that follow them."""
-        self._builder.edges(chunk, self._now())
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Take a heartbeat."""
-        now = self._now()
-        self._builder.heartbeat(node, heartbeat, now)
-        self._pass_on(now)
-
-    def event(self, node: int, event: DeviceEvent) -> None:
-        """Take an event of the drive."""
-        self._builder.event(node, event, self._now())
-
-    def missing(self, node: int, samples: int, edges: int) -> None:
-        """Take what was lost at the end of the streams into the account of losses."""
-        self._builder.missing(samples, edges, self._now())
-
-    def note(self, text: str, level: str = "INFO", tick: int | None = None) -> None:
-        """Take a line of the host's for the log; `level` as rerun's: INFO, WARN, ERROR.
-
-        It stands at the newest device time seen, or at `tick`.
-        """
-        self._builder.note(text, level, self._now(), tick)
-
-    def summary(self, markdown: str) -> None:
-        """Take the summary, which replaces an earlier one."""
-        self._put(markdown)
+        match item:
+            case SummaryText():
+                self._put(item)
+            case Mark():
+                pass
+            case SampleChunk():
+                self._builder.add(item, now, now if self.host_time is None else self.host_time(float(item.tick[0])))
+                self._pass_on(now)
+            case _:
+                if isinstance(item, ClockRestarted):
+                    self._pass_on(now, everything=True)
+                self._builder.add(item, now)
+                if isinstance(item, HeartbeatReceived):
+                    self._pass_on(now)
 
     def _pass_on(self, now: float, everything: bool = False) -> None:
-        block = self._builder.take(now, everything)
+        block = self._builder.close(now, everything)
         if block is not None:
             self._put(block)
 
@@ -129,15 +109,15 @@ class LiveSink(Sink):
 
     def _log(self, log: RunLog, item: _Item) -> None:
         """Hand one item to rerun; on the sink's own thread."""
-        if isinstance(item, str):
-            log.summary(item)
+        if isinstance(item, SummaryText):
+            log.summary(item.markdown)
             return
         item.losses["lost:live_blocks"] = self.dropped_blocks
         log.block(item)
         now = self._now()
-        for chunk, arrived, taken in zip(item.samples, item.arrivals, item.taken, strict=True):
+        for arrived, taken, samples in item.arrivals:
             if taken is not None:
-                self.latency.add((arrived if self._hold else now) - taken, len(chunk))
+                self.latency.add((arrived if self._hold else now) - taken, samples)
         self.logged_samples += item.n_samples
         self.logged_edges += item.n_edges
 

@@ -6,6 +6,7 @@ sample only around faults, marks and the end: rerun's memory holds minutes of sa
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,23 +14,23 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import rerun as rr
-from numpy.typing import NDArray
 
+from bench.device.heard import Chunk, Heard, Missing, Note
+from bench.device.losses import Continuity, LossAccount
 from bench.errors import RecordingError
 from bench.files import part_of
 from bench.record.info import RunInfo
 from bench.record.layout import EDGES, numbers
-from bench.record.losses import LossAccount
 from bench.record.overview import BIN, coarser
 from bench.record.reader import Run, Segment, overviews
 from bench.signal.chunks import between
 from bench.view import dashboard, schema
-from bench.view.blocks import Block
+from bench.view.blocks import Block, lost_components
 from bench.view.log import RunLog
 from bench.view.plots import plots
 from bench.view.sinks import abandon, new_stream
+from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import EventCode
-from protocol.streams import EdgeChunk, SampleChunk
 
 WINDOW = 0.05  # s that go to rerun in one piece
 LOT = 0.25  # s of signal a message; with longer ones a file is half as large again
@@ -167,10 +168,8 @@ def _from_afar(run: Run, log: RunLog, first: int, last: int, near: Sequence[Span
     account, said = LossAccount(), _Said(run, first, last)
     if run.lost is not None:
         account.counters |= run.lost
-    for segment in run.segments:
-        begin, end = max(first, segment.span[0]), min(last, segment.span[1])
-        if begin > end:
-            continue
+    for segment, begin, end in _parts(run, first, last):
+        log.block(Block([*segment.restarts]))
         for table in overviews(run, segment):
             ticks = numbers(table.column("tick"))
             shown = (ticks >= begin) & (ticks <= end)
@@ -180,93 +179,80 @@ def _from_afar(run: Run, log: RunLog, first: int, last: int, near: Sequence[Span
                 log.overview(coarser(table.filter(pa.array(shown)), together), round(BIN * 1e9) * together)
         for a, b in near:
             if a <= end and b >= begin:
-                for block in _windows(run, segment, max(a, begin), min(b, end)):
-                    log.block(block)
-        block = Block()
-        said.add(block, account, end)
-        log.block(block)
-    rest = Block()
-    said.add(rest, account, 1 << 62)
+                for chunks in _windows(run, segment, max(a, begin), min(b, end)):
+                    log.block(Block([*chunks]))
+        log.block(said.block(account, end))
+    rest = said.block(account, 1 << 62)
     if run.lost is None:
-        rest.notes.append((min(last, run.span[1]), "losses are not counted: the run came to no end", "WARN"))
+        tick = min(last, run.span[1])
+        rest.items.append(Note(tick, "losses are not counted: the run came to no end", "WARN"))
     log.block(rest)
 
 
 def _blocks(run: Run, first: int, last: int) -> Iterator[Block]:
     """Everything from tick `first` to `last`, a window at a time; what happened before the samples comes first."""
-    account = LossAccount()
+    account, continuity = LossAccount(), Continuity()
     said = _Said(run, first, last)
+    for segment, begin, end in _parts(run, first, last):
+        segment.begin(continuity)
+        yield Block([*segment.restarts])
+        for window in _windows(run, segment, begin, end):
+            chunks = [continuity.chunk(chunk) for chunk in window]
+            for chunk in chunks:
+                account.take(chunk)
+            yield said.block(account, min(int(chunk.tick[0]) for chunk in chunks) - 1)
+            yield said.block(account, max(int(chunk.tick[-1]) for chunk in chunks), chunks)
+    for tick, node, samples, edges in run.missing:
+        account.take(Missing(tick, node, samples, edges))
+    yield said.block(account, 1 << 62)
+
+
+def _parts(run: Run, first: int, last: int) -> Iterator[tuple[Segment, int, int]]:
+    """The segments of a run from tick `first` to `last`, and from where to where."""
     for segment in run.segments:
         begin, end = max(first, segment.span[0]), min(last, segment.span[1])
-        if begin > end:
-            continue
-        if segment.after_removed:
-            account.not_kept()
-        for block in _windows(run, segment, begin, end):
-            block.samples = [account.chunk(chunk) for chunk in block.samples]
-            block.edges = [account.chunk(chunk) for chunk in block.edges]
-            before = Block()
-            said.add(before, account, min(int(tick[0]) for tick in _ticks(block)) - 1)
-            yield before
-            said.add(block, account, max(int(tick[-1]) for tick in _ticks(block)))
-            yield block
-    rest = Block()
-    said.add(rest, account, 1 << 62)
-    for _, _, samples, edges in run.missing:
-        account.missing(samples, edges)
-    rest.losses = _losses(account)
-    yield rest
+        if begin <= end:
+            yield segment, begin, end
 
 
-def _windows(run: Run, segment: Segment, begin: int, end: int) -> Iterator[Block]:
+def _windows(run: Run, segment: Segment, begin: int, end: int) -> Iterator[list[Chunk]]:
     """The samples and edges of a segment, a window at a time."""
     step = round(WINDOW * run.info.tick_hz)
     waiting = {name: segment.pieces(name, begin, end) for name in run.names}
-    held: dict[str, SampleChunk | EdgeChunk | None] = {name: next(pieces, None) for name, pieces in waiting.items()}
+    held: dict[str, Chunk | None] = {name: next(pieces, None) for name, pieces in waiting.items()}
     for at in range(begin, end + 1, step):
-        block = Block()
+        found: list[Chunk] = []
         for name, pieces in waiting.items():
             while (chunk := held[name]) is not None and int(chunk.tick[0]) < at + step:
-                now = between(chunk, at, at + step - 1)
-                if isinstance(now, SampleChunk):
-                    block.samples.append(now)
-                else:
-                    block.edges.append(now)
+                found.append(between(chunk, at, at + step - 1))
                 if int(chunk.tick[-1]) >= at + step:
                     held[name] = between(chunk, at + step, 1 << 62)
                     break
                 held[name] = next(pieces, None)
-        if block.samples or block.edges:
-            yield block
-
-
-def _ticks(block: Block) -> list[NDArray[np.int64]]:
-    """Of its chunks."""
-    return [chunk.tick for chunk in block.samples] + [chunk.tick for chunk in block.edges]
+        if found:
+            yield found
 
 
 class _Said:
     """Events, heartbeats and notes of a run, handed out with the samples that they came with."""
 
     def __init__(self, run: Run, first: int, last: int) -> None:
-        notes = [(tick, text, level) for (tick, text), level in zip(run.notes, run.levels, strict=True)]
-        self._events = [event for event in run.events if first <= event.tick <= last]
-        self._heartbeats = [pair for pair in run.heartbeats if first <= pair[1].tick <= last]
-        self._notes = [note for note in notes if first <= note[0] <= last]
+        notes = [Note(tick, text, level) for (tick, text), level in zip(run.notes, run.levels, strict=True)]
+        beats = [HeartbeatReceived(*pair) for pair in run.heartbeats]
+        events = [DeviceEventReceived(event.node, event) for event in run.events]
+        self._waiting: list[deque[tuple[int, Heard]]] = [
+            deque((event.event.tick, event) for event in events if first <= event.event.tick <= last),
+            deque((beat.heartbeat.tick, beat) for beat in beats if first <= beat.heartbeat.tick <= last),
+            deque((note.tick, note) for note in notes if first <= note.tick <= last),
+        ]
 
-    def add(self, block: Block, account: LossAccount, upto: int) -> None:
-        """Put what was said up to tick `upto` into `block`, with the losses up to then."""
-        while self._events and self._events[0].tick <= upto:
-            event = self._events.pop(0)
-            block.events.append((event.node, event))
-        while self._heartbeats and self._heartbeats[0][1].tick <= upto:
-            pair = self._heartbeats.pop(0)
-            account.heartbeat(*pair)
-            block.heartbeats.append(pair)
-        while self._notes and self._notes[0][0] <= upto:
-            block.notes.append(self._notes.pop(0))
-        block.losses = _losses(account)
-
-
-def _losses(account: LossAccount) -> dict[str, int]:
-    return {f"lost:{name}": n for name, n in account.counters.items()}
+    def block(self, account: LossAccount, upto: int, chunks: Sequence[Chunk] = ()) -> Block:
+        """These chunks, and what was said up to tick `upto`, with the losses up to then."""
+        block = Block([*chunks])
+        for waiting in self._waiting:
+            while waiting and waiting[0][0] <= upto:
+                _, item = waiting.popleft()
+                account.take(item)
+                block.items.append(item)
+        block.losses = lost_components(account)
+        return block

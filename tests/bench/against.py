@@ -48,6 +48,14 @@ def _main(arguments: list[str]) -> object:
     return 0
 
 
+def said(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> tuple[str, str]:
+    """What `bench ARGUMENTS…` prints on both outputs; it must end with `code`."""
+    ended = _main(list(arguments))
+    read = capsys.readouterr()
+    assert ended == code, read
+    return read.out, read.err
+
+
 def bench(command: str, device: Device, capsys: pytest.CaptureFixture[str], patience: float = PATIENCE) -> Ran:
     """Run `command`, in which TARGET stands for the device. AssertionError if it takes longer than `patience` s."""
     capsys.readouterr()

@@ -6,44 +6,44 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.device.client import Client, Sink
+from bench.device.client import Client
+from bench.device.heard import ClockRestarted, Heard, Missing, Note
 from bench.device.node import DRIVE, LOAD, Node
 from bench.record.info import RunInfo
 from bench.rig.streams import configure
 from bench.signal.chunks import join, part
+from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.links import Link
-from protocol.messages import DeviceEvent, DriveState, Heartbeat
+from protocol.messages import DriveState
 from protocol.streams import EdgeChunk, SampleChunk
 
 if TYPE_CHECKING:
     from bench.replay.estimators import HostObservers
 
 
-class Collector(Sink):
+class Collector:
     def __init__(self) -> None:
         self.chunks: list[SampleChunk | EdgeChunk] = []  # in the order in which they came
-        self.events: list[tuple[int, DeviceEvent]] = []
-        self.heartbeats: list[tuple[int, Heartbeat]] = []
+        self.events: list[DeviceEventReceived] = []
+        self.heartbeats: list[HeartbeatReceived] = []
+        self.restarts: list[ClockRestarted] = []
         self.notes: list[str] = []
         self.lost = (0, 0)  # samples and edges, at the end of the streams
 
-    def samples(self, chunk: SampleChunk) -> None:
-        self.chunks.append(chunk)
-
-    def edges(self, chunk: EdgeChunk) -> None:
-        self.chunks.append(chunk)
-
-    def event(self, node: int, event: DeviceEvent) -> None:
-        self.events.append((node, event))
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        self.heartbeats.append((node, heartbeat))
-
-    def missing(self, node: int, samples: int, edges: int) -> None:
-        self.lost = (self.lost[0] + samples, self.lost[1] + edges)
-
-    def note(self, text: str, level: str = "INFO") -> None:
-        self.notes.append(text)
+    def take(self, item: Heard) -> None:
+        match item:
+            case SampleChunk() | EdgeChunk():
+                self.chunks.append(item)
+            case DeviceEventReceived():
+                self.events.append(item)
+            case HeartbeatReceived():
+                self.heartbeats.append(item)
+            case Missing():
+                self.lost = (self.lost[0] + item.samples, self.lost[1] + item.edges)
+            case ClockRestarted():
+                self.restarts.append(item)
+            case Note():
+                self.notes.append(item.text)
 
     def all_samples(self) -> SampleChunk:
         chunks = [chunk for chunk in self.chunks if isinstance(chunk, SampleChunk)]

@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from bench.device.heard import ParameterSet
 from bench.record import layout
 from bench.record.reader import NotARecordingError, Run
 from bench.record.writer import RunWriter
+from protocol.host import DeviceEventReceived
 from protocol.streams import EdgeChunk, SampleChunk
 
 _EDGES = ("tick", "hall_old", "hall_new", "illegal", "encoder")
@@ -115,21 +117,19 @@ def unfinished(run: Run, path: Path) -> Path:
     """The same run as a recorder leaves it that is killed before its end."""
     writer = RunWriter(path, run.info)
     for change in run.changes:
-        writer.parameter(change.node, change.name, change.value)
+        writer.take(ParameterSet(change.tick, change.node, change.name, change.value))
     for event in run.events:
-        writer.event(event.node, event)
+        writer.take(DeviceEventReceived(event.node, event))
     for mark in run.marks:
-        writer.mark(mark)
+        writer.take(mark)
     names = sorted(run.names, key=lambda name: name != layout.EDGES)
     tick, last = run.span
     step = run.info.tick_hz // 50
     while tick <= last:
         for name in names:
             chunk = run.chunk(name, tick, tick + step - 1)
-            if isinstance(chunk, SampleChunk):
-                writer.samples(chunk)
-            elif chunk is not None:
-                writer.edges(chunk)
+            if isinstance(chunk, SampleChunk) or chunk is not None:
+                writer.take(chunk)
         tick += step
     writer.abandon()
     return path

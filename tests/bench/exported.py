@@ -14,10 +14,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bench.record.info import Mark, RunInfo
+from bench.device.heard import Missing, Note, ParameterSet
+from bench.device.losses import Continuity
+from bench.record.info import Mark, RunInfo, SummaryText
 from bench.record.writer import RunWriter
 from bench.signal.verdict import Verdict
 from protocol.descriptor import Channel
+from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat, StreamEvent
 from protocol.signals import Flag, RawType, Unit
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
@@ -43,6 +46,7 @@ EDGES = StreamConfig(1, 1, 8, StreamEvent.EDGES, 1, (), 100, tick_hz=TICK_HZ, pw
 LOAD = StreamConfig(2, 0, 3, StreamEvent.PWM, 10 * EVERY, OTHER, 10, tick_hz=TICK_HZ, pwm_hz=PWM_HZ)
 START = 1000 * PWM_HZ  # index of the first sample
 NOTE = 'all "well", he said;\nΩ as ever'
+NEWEST = (START + 7499 * EVERY) * TICKS  # when 75 s have come
 HEARTBEAT = Heartbeat(
     (START + 5) * TICKS, 9, Fault(0), Fault(0), 4, 2, 0, 1, 0, 200, DriveState.RUNNING, True, edges=3
 )  # fmt: skip
@@ -76,10 +80,10 @@ def edges(index: np.ndarray) -> EdgeChunk:
 
 def record(path: Path, seconds: int = 75) -> Path:
     """The run: a gap within a chunk, an outage that no gap tells, a node 2, and everything that is said."""
-    writer = RunWriter(path, info())
-    writer.event(1, DeviceEvent(START * TICKS - 500, EventCode.STATE_CHANGED, 1, 3.0, 0.25))
-    writer.heartbeat(1, HEARTBEAT)
-    writer.heartbeat(1, HEARTBEAT)  # tells nothing new
+    writer, continuity = RunWriter(path, info()), Continuity()
+    writer.take(DeviceEventReceived(1, DeviceEvent(START * TICKS - 500, EventCode.STATE_CHANGED, 1, 3.0, 0.25)))
+    writer.take(HeartbeatReceived(1, HEARTBEAT))
+    writer.take(HeartbeatReceived(1, HEARTBEAT))  # tells nothing new
     per_second = PWM_HZ // EVERY
     for second in range(seconds):
         if second == 30:
@@ -88,16 +92,16 @@ def record(path: Path, seconds: int = 75) -> Path:
         gaps: tuple[Gap, ...] = ()
         if second == 12:
             index, gaps = np.delete(index, [40, 41, 42]), (Gap(40, 3, 1, True),)
-        writer.edges(edges(np.arange(second * 6, second * 6 + 6, dtype=np.int64)))
-        writer.samples(samples(SAMPLES, index, gaps))
+        writer.take(edges(np.arange(second * 6, second * 6 + 6, dtype=np.int64)))
+        writer.take(continuity.chunk(samples(SAMPLES, index, gaps)))
         load = START + (second * 10 + np.arange(10, dtype=np.int64)) * 10 * EVERY
-        writer.samples(samples(LOAD, load, seed=2))
-    writer.parameter(1, "k_p", math.inf)
-    writer.note(NOTE, "WARN")
-    writer.mark(Mark("step.rise", at(10), at(20), Verdict.FAIL))
-    writer.mark(Mark("by hand", at(5), at(6)))
-    writer.missing(2, 4, 1)
-    writer.summary("# Summary")
+        writer.take(continuity.chunk(samples(LOAD, load, seed=2)))
+    writer.take(ParameterSet(NEWEST, 1, "k_p", math.inf))
+    writer.take(Note(NEWEST, NOTE, "WARN"))
+    writer.take(Mark("step.rise", at(10), at(20), Verdict.FAIL))
+    writer.take(Mark("by hand", at(5), at(6)))
+    writer.take(Missing(NEWEST, 2, 4, 1))
+    writer.take(SummaryText("# Summary"))
     writer.close()
     return path
 

@@ -24,7 +24,7 @@ def repeated(path: Path, times: int, kept: str = "reversal") -> Path:
     writer = RunWriter(path, run.info)
     for k in range(times):
         shifted = edges.tick + k * ticks
-        writer.edges(replace(edges, index=edges.index + k * len(edges), tick=shifted, gaps=()))
-        writer.samples(replace(samples, index=samples.index + k * step, tick=samples.tick + k * ticks, gaps=()))
+        writer.take(replace(edges, index=edges.index + k * len(edges), tick=shifted, gaps=()))
+        writer.take(replace(samples, index=samples.index + k * step, tick=samples.tick + k * ticks, gaps=()))
     writer.close()
     return path

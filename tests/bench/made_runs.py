@@ -12,6 +12,7 @@ from bench.record.info import Mark, RunInfo
 from bench.record.writer import RunWriter
 from bench.signal.chunks import part
 from protocol.descriptor import Channel, Descriptor
+from protocol.host import DeviceEventReceived
 from protocol.messages import DeviceEvent, StreamEvent
 from protocol.signals import DRIVE_CHANNELS, RawType, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig, sample_dtype
@@ -63,17 +64,17 @@ def make(
     whole = SampleChunk(config, index, index * (TICK_HZ // PWM_HZ), raw, ())
     writer = RunWriter(path, info)
     for event in events:
-        writer.event(event.node, event)
+        writer.take(DeviceEventReceived(event.node, event))
     for mark in marks:
-        writer.mark(mark)
+        writer.take(mark)
     if edges is not None:
         tick, old, new = edges
         edge_config = StreamConfig(1, 1, 2, StreamEvent.EDGES, 1, (), 100, **clock)
         count = np.arange(len(tick), dtype=np.int64)
         nothing = np.zeros(len(tick))
-        writer.edges(EdgeChunk(edge_config, tick, old, new, nothing.astype(bool), nothing.astype(np.uint16), count, ()))
+        writer.take(EdgeChunk(edge_config, tick, old, new, nothing.astype(bool), nothing.astype(np.uint16), count, ()))
     for first in range(0, n, 4000):
-        writer.samples(part(whole, first, min(first + 4000, n)))
+        writer.take(part(whole, first, min(first + 4000, n)))
     writer.close()
     return path
 

@@ -10,6 +10,7 @@ from collect import Bench
 from made_runs import N_P, PWM_HZ, RPM, make
 from virtual_run import WatchedLink, simulated
 
+from bench.record.info import Mark, SummaryText
 from bench.record.sink import RunSink
 from bench.signal.verdict import Verdict
 from protocol.descriptor import Channel
@@ -30,7 +31,7 @@ def record_drive(path: Path) -> None:
     load.start()
     bench.turn(500 * RPM)
     client.run_for(0.5)
-    sink.note("now faster", "WARN")
+    client.note("now faster", "WARN")
     drive.speed(1000 * RPM)
     client.run_for(0.5)
     load.torque(0.2)
@@ -42,8 +43,8 @@ def record_drive(path: Path) -> None:
     load.stop()
     client.run_for(0.05)
     second = bench.hello.tick_hz
-    sink.mark("steady", second // 2, second, Verdict.PASS)
-    sink.summary("# The run")
+    sink.take(Mark("steady", second // 2, second, Verdict.PASS))
+    sink.take(SummaryText("# The run"))
     sink.close()
 
 

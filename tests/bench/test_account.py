@@ -6,6 +6,7 @@ In virtual time. What is right is what the simulated drive handed to its streams
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,19 +16,27 @@ from cobs import cobs
 from collect import Bench, Collector
 from virtual_run import NETWORKS, RecordingScreen, WatchedLink, at_rest, run, simulated
 
-from bench.device.client import Client, Losses, Sink
+from bench.device.client import Client, Losses
+from bench.device.heard import Heard
+from bench.device.losses import LOSS_FIELDS
 from bench.device.node import Node
 from bench.errors import RecordingError
 from bench.live.summary import Lost, Summary, run_rows
+from bench.record.reader import Run
+from bench.record.sink import RunSink
 from bench.rig.outputs import Outputs
 from bench.rig.rig import Plan, Rig
+from bench.signal.chunks import join
+from bench.view.sinks import LiveSink
 from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES
 from protocol.canmap.host import CanWire
 from protocol.errors import LinkError
+from protocol.framing import HEADER_BYTES, wrapped
 from protocol.messages import DriveState, Fault, MessageType
-from protocol.streams import SampleChunk
+from protocol.streams import EDGE_RECORD, STREAM_HEADER, SampleChunk
 from sim.ports.device import SimulatedDevice
 from tests.devices import FULL, serving
+from tests.viewers import any_port
 
 pytestmark = pytest.mark.slow
 
@@ -258,9 +267,9 @@ class Rebooting(Lossy):
     def clock(self) -> float:
         return self._before + super().clock()
 
-    def reboot(self) -> None:
+    def reboot(self, seed: int = 2) -> None:
         self._before = self.clock()
-        self.device = simulated(2, self._network)
+        self.device = simulated(seed, self._network)
 
 
 def test_the_streams_of_a_drive_that_reboots_end_with_its_last_heartbeat(network: str) -> None:
@@ -272,6 +281,7 @@ def test_the_streams_of_a_drive_that_reboots_end_with_its_last_heartbeat(network
     link.loses = False
     link.reboot()
     assert bench.client.wait(lambda: bench.client.health.reboots == 2, 1.0)  # both nodes
+    assert [(node, rebooted) for node, _, rebooted in bench.collector.restarts] == [(1, True), (2, True)]
     losses = accounted(bench, streamed, known, decimation)
     bench.drive.resume_streams()
     bench.client.run_for(0.4)
@@ -281,7 +291,73 @@ def test_the_streams_of_a_drive_that_reboots_end_with_its_last_heartbeat(network
     assert after.samples.samples > losses.samples.samples + 0.3 * 16000 / decimation
 
 
-class Ages(Sink):
+class Jumping(Lossy):
+    """A virtual link whose drive's clock is `back` ticks behind what it was, without a reboot: indices go on."""
+
+    back = 0
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        frames = split(super().read(timeout, settle), False)
+        return b"".join(self._jumped(cobs.decode(frame[1:-1])) for frame, _ in frames)
+
+    def _jumped(self, body: bytes) -> bytes:
+        header, payload = body[:HEADER_BYTES], bytearray(body[HEADER_BYTES:-4])
+        if header[0] == MessageType.HEARTBEAT and header[2:4] == bytes(2):
+            payload[:8] = struct.pack("<Q", struct.unpack_from("<Q", payload)[0] - self.back)
+        elif header[0] in (MessageType.DATA, MessageType.EDGES):
+            edges = range(STREAM_HEADER.size, len(payload), EDGE_RECORD.itemsize)
+            for at in (STREAM_HEADER.size - 4, *(edges if header[0] == MessageType.EDGES else ())):
+                tick = struct.unpack_from("<I", payload, at)[0]
+                payload[at : at + 4] = struct.pack("<I", (tick - self.back) & 0xFFFFFFFF)
+        return wrapped(header + bytes(payload))
+
+
+def test_a_clock_that_jumps_back_without_a_reboot_loses_nothing(tmp_path: Path) -> None:
+    """Neither on the way nor in the recording, nor does what is said stand at the old time."""
+    link = Jumping(simulated())
+    bench, streamed, _ = streaming(link, 0.1)
+    bench.client.run_for(3.0)
+    live = LiveSink(bench.info(NAMES), any_port())
+    file = RunSink(tmp_path / "a.run", live.run, wait=True)
+    bench.client.sinks = [bench.collector, file, live]
+    bench.client.run_for(0.5)
+    before = bench.client.newest(1)
+    link.back = 2 * bench.hello.tick_hz
+    bench.client.run_for(0.5)
+    bench.client.note("after it")
+    bench.drive.stop_streams()
+    file.close()
+    assert live.close()
+    losses = bench.client.losses(1)
+    assert losses.samples.lost_by_index == losses.edges.lost_by_index == 0
+    assert [(node, rebooted) for node, _, rebooted in bench.collector.restarts] == [(1, False), (2, False)]
+    chunks = [chunk for chunk in bench.collector.chunks if isinstance(chunk, SampleChunk)]
+    assert np.array_equal(join(chunks).index, np.concatenate(streamed.index)[: sum(map(len, chunks))])
+    run = Run(tmp_path / "a.run")
+    assert not run.damage
+    assert run.lost == dict.fromkeys(LOSS_FIELDS, 0)
+    assert not run.samples.gaps
+    assert (np.diff(run.samples.index) == 1).all()
+    assert len(run.samples) > 0.9 * 16000
+    assert run.clock_went_back() is not None
+    assert abs(run.clock_went_back() - before) < 0.1 * bench.hello.tick_hz
+    assert next(tick for tick, text in run.notes if text == "after it") < before - bench.hello.tick_hz
+    assert (live.error, live.logged_samples + live.dropped_samples) == (None, len(run.samples))
+
+
+def test_a_drive_that_reboots_and_keeps_its_boot_number_has_a_clock_that_restarts(network: str) -> None:
+    link = Rebooting(network)
+    bench, _, _ = streaming(link, 1.3)
+    newest = bench.client.newest(1)
+    link.reboot(seed=1)
+    bench.client.run_for(0.3)
+    assert bench.client.health.reboots == 0  # nobody can know
+    assert [(node, rebooted) for node, _, rebooted in bench.collector.restarts] == [(1, False), (2, False)]
+    assert bench.collector.restarts[0].tick == newest
+    assert bench.client.newest(1) < newest
+
+
+class Ages:
     """How old the samples were when they came, by the clock that a run gives to its outputs."""
 
     latency = None  # which outputs ask for
@@ -290,9 +366,8 @@ class Ages(Sink):
         self.ages: list[float] = []
         self._host_time, self._now = host_time, now
 
-    def samples(self, chunk: SampleChunk) -> None:
-        taken = self._host_time(float(chunk.tick[0]))
-        if taken is not None:
+    def take(self, item: Heard) -> None:
+        if isinstance(item, SampleChunk) and (taken := self._host_time(float(item.tick[0]))) is not None:
             self.ages.append(self._now() - taken)
 
 

@@ -1,7 +1,7 @@
 """A drive that is not the simulated one: every command does what it can with what the drive says of itself.
 
 `own` has six channels and three parameters of its own names, no encoder, no edges, no currents; the others are the
-usual drive less something. The device itself is held to protocol/SPEC.md by the vectors.
+usual drive less something. The device itself is held to protocol/SPEC.md by tests/protocol.
 """
 
 from __future__ import annotations
@@ -9,24 +9,20 @@ from __future__ import annotations
 import json
 import re
 from functools import partial
+from itertools import product
 from math import tau
 from pathlib import Path
-from typing import Any
 
 import pytest
 from against import ACCEPT, HALL, INFO, LINKS, LOOK, SPIN, WATCH, bench
 
 from bench.record.reader import Run
-from protocol.framing import encode_frame
 from tests.choice import sampled
-from tests.devices import FULL, OWN, build, serving
-from tests.devices.carriers import ByteCarrier
-from tests.devices.device import Device
-from tests.devices.spec import ERROR, REPLY, Event, Feature, Message, State, Type
+from tests.devices import FULL, OWN, serving
+from tests.devices.spec import Feature, State
 
 pytestmark = pytest.mark.slow
 
-VECTORS = Path(__file__).parents[2] / "protocol" / "vectors"
 ROWS = ("v_bus", "w_target", "w_meas", "pos_e", "temp_fet", "duty", "kp_w", "ki_w", "vbus_min")
 UNTRUE = r"nan r/min|KeyError|did you mean"
 
@@ -50,60 +46,6 @@ LESS = {
 
 own = partial(serving, "own", (), watchdog=1.0)  # more than SPEC's 0.2 s: the machine may be busy
 usual = partial(serving, watchdog=1.0)
-
-
-class Kept(ByteCarrier):
-    """Keeps what it is given; nobody is connected."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.sent: list[Message] = []
-
-    def send(self, message: Message, host: int = 0, sent: bytes | None = None) -> bytes:
-        self.sent.append(message)
-        return b""
-
-
-# -- the device -------------------------------------------------------------------------------------------------
-
-
-def asked(device: Device, request_hex: str) -> tuple[str | None, list[bytes]]:
-    """What the device answers, in hex ("" for nothing), and the payloads of its SETPOINT_REJECTED."""
-    carrier = Kept()
-    device.carrier = carrier
-    (request,) = carrier.parse(bytes.fromhex(request_hex))
-    device.receive(request)
-    replies = [encode_frame(message).hex() for message in carrier.sent if message.flags & REPLY]
-    events = [message.payload for message in carrier.sent if message.type == Type.EVENT]
-    assert len(replies) <= 1
-    return "".join(replies), [event for event in events if event[8] == Event.SETPOINT_REJECTED]
-
-
-def vectors(name: str) -> list[dict[str, Any]]:
-    path = VECTORS / name
-    return json.loads(path.read_text()) if path.exists() else []
-
-
-@pytest.mark.parametrize("case", vectors("exchanges.json"), ids=lambda case: case["name"])
-def test_the_device_refuses_as_the_vectors_say(case: dict[str, str]) -> None:
-    device = build()
-    for _ in range(2):  # the answer to a repeated request is the same
-        assert asked(device, case["request_hex"])[0] == case["reply_hex"]
-
-
-@pytest.mark.parametrize("case", vectors("sequences.json"), ids=lambda case: case["name"])
-def test_the_device_answers_in_sequence_as_the_vectors_say(case: dict[str, Any]) -> None:
-    names = [str(row.name) for row in (*FULL.channels, *FULL.parameters) if row.name not in ("hall", "theta_enc")]
-    device = build(FULL.without(*names, features=Feature(case["features"])), clock=lambda: 0.0)
-    device.boot_id = 0x00B0071D
-    for step in case["steps"]:
-        reply, rejected = asked(device, step["request_hex"])
-        if step["reply_hex"] is None:
-            (answer,) = ByteCarrier().parse(bytes.fromhex(reply or ""))
-            assert not answer.flags & ERROR
-        else:
-            assert reply == step["reply_hex"]
-        assert [event[8:].hex() for event in rejected] == [step["rejected_hex"]] * bool(step["rejected_hex"])
 
 
 # -- a drive as it should be ------------------------------------------------------------------------------------
@@ -197,10 +139,14 @@ def test_a_recording_of_a_drive_of_its_own_names(tmp_path: Path, capsys: pytest.
 # -- drives that lack something ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("less", LESS)
-@pytest.mark.parametrize("command", [SPIN, ACCEPT], ids=["live", "accept"])
-def test_a_drive_without_something(less: str, command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """It turns, or the tests are skipped; nothing that it lacks makes it fail."""
+MISSING = {"n_p": "n_p", "edges": "[Ee]dges|EDGES", "hall": "hall", "all but status": "hall", "parameters": "n_p"}
+"""What `bench hall` must name, which needs it."""
+WITHOUT = [*product((SPIN,), LESS), *sampled("lacking", product((ACCEPT,), LESS), 5, campaign="links")]
+
+
+@pytest.mark.parametrize(("command", "less"), [*WITHOUT, *product((HALL,), MISSING)])
+def test_a_drive_without_something(command: str, less: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """It turns, the tests are skipped, or it is said what is missing; nothing that it lacks makes it fail."""
     with usual(LESS[less], (), "bytes") as device:
         ran = bench(command, device, capsys)
         assert not device.outputs_on
@@ -208,17 +154,9 @@ def test_a_drive_without_something(less: str, command: str, capsys: pytest.Captu
     if command is SPIN:
         assert ran.code == 0, ran.text
         assert device.motor.fastest == pytest.approx(300 * tau / 60, rel=0.05)
-    else:
+    elif command is ACCEPT:
         assert ran.code in (0, 6), ran.text
         assert not re.search(r"\b(ERROR|FAIL|INVALID)\b", ran.text), ran.text
-
-
-@pytest.mark.parametrize("less", ["n_p", "edges", "hall", "all but status", "parameters"])
-def test_hall_says_what_is_missing(less: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with usual(LESS[less], (), "bytes") as device:
-        ran = bench(HALL, device, capsys)
-    assert ran.code == 2, ran.text
-    assert not re.search(UNTRUE, ran.text), ran.text
-    missing = {"n_p": "n_p", "edges": "[Ee]dges|EDGES", "hall": "hall", "all but status": "hall", "parameters": "n_p"}
-    assert re.search(missing[less], ran.text), ran.text
-    assert not device.outputs_on
+    else:
+        assert ran.code == 2, ran.text
+        assert re.search(MISSING[less], ran.text), ran.text

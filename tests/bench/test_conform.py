@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner, Result
 from conforming import OVERLOADED, RICH, TARGET, ended, narrow, on_device, on_simulated, on_uart, options, run_on
 from processes import Program, Sim
-from virtual_run import RecordingScreen, at_rest, physical, simulated
+from virtual_run import NETWORKS, RecordingScreen, WatchedLink, at_rest, physical, simulated
 
 from bench.cli import cli
 from bench.conform import run as conforming
@@ -27,9 +27,9 @@ from bench.conform.run import Options, Run, conform
 from bench.errors import BenchError, UnsafeError
 from bench.signal.verdict import Verdict
 from protocol.errors import NoReply, Refused
-from protocol.links import Link
 from protocol.messages import DriveState, ErrorCode
 from sim.ports.virtual import VirtualLink
+from tests.choice import sampled
 from tests.devices import FULL, serving
 from tests.devices.spec import State
 from tests.tools import needs
@@ -59,8 +59,14 @@ def test_the_device_written_from_spec_passes_every_level(vocabulary: str, carrie
     assert device.values == pytest.approx({row.id: row.value for row in device.vocabulary.parameters}, rel=1e-7)
 
 
-@pytest.mark.parametrize("network", ["bytes", "CAN", "CAN FD"])
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs("C compiler"))], ids=["Python", "C"])
+SIMULATED = [
+    pytest.param(network, compiled, id=f"{network}, {'C' if compiled else 'Python'}",
+                 marks=needs("C compiler") if compiled else ())
+    for network in NETWORKS for compiled in (False, True)
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("network", "compiled"), sampled("simulated drive", SIMULATED, 3, campaign="conform"))
 def test_the_simulated_drive_passes_every_level(network: str, compiled: bool) -> None:
     device = narrow() if network == "bytes" and not compiled else simulated(network=network, compiled=compiled)
     before = dict(device.bench.parameters)
@@ -72,7 +78,7 @@ def test_the_simulated_drive_passes_every_level(network: str, compiled: bool) ->
     assert device.bench.parameters == before
 
 
-@pytest.mark.parametrize("baud", [57_600, 115_200])
+@pytest.mark.parametrize("baud", sampled("baud", (57_600, 115_200), 1, campaign="conform"))
 def test_a_slow_uart_is_no_fault_of_the_device(baud: int) -> None:
     run = on_uart(STREAMS, baud)
     assert not ended(run, Verdict.FAIL)
@@ -164,7 +170,9 @@ def test_a_physical_drive_is_energised_by_consent_only() -> None:
     with pytest.raises(UnsafeError, match="not confirmed"):
         conform(lambda: VirtualLink(physical()), options(MOTION, yes=False), RecordingScreen(), refuse, print)
     assert "up to 100 r/min" in asked[0]
-    assert not run_on(VirtualLink(physical()), 0, yes=False).energised
+    link = WatchedLink(physical())
+    run_on(link, 0, yes=False)
+    assert set(link.states) == {DriveState.IDLE}
 
 
 def test_a_speed_beyond_the_limit_is_refused_and_a_latched_fault_may_be_looked_at() -> None:
@@ -208,22 +216,17 @@ def invoke() -> Any:
     """Run the command; what it connects to has already been looked at."""
 
     def invoke(run: Run | Exception, *arguments: str) -> Result:
-        def instead(link: Link, asked: Options, screen: Any, confirm: Any, told: Any) -> Run:
+        def instead(link: object, asked: Options, screen: Any, confirm: Any, told: Any) -> Run:
             if isinstance(run, Exception):
                 raise run
             for result in run.results:
                 told(result)
             return replace(run, options=asked)
 
-        with patch.object(conforming, "conform", instead), patch("protocol.links.open_link", lambda target: Closed()):
+        with patch.object(conforming, "conform", instead):
             return CliRunner().invoke(cli, ["conform", TARGET, *arguments])
 
     return invoke
-
-
-class Closed:
-    def close(self) -> None:
-        pass
 
 
 def test_it_prints_a_table_of_each_level_and_the_claim(invoke: Any, found: dict[str, Run]) -> None:
@@ -235,41 +238,32 @@ def test_it_prints_a_table_of_each_level_and_the_claim(invoke: Any, found: dict[
     assert any(re.match(r"identity\.schema-crc +passed +[0-9a-f]{8} over \d+ bytes", line) for line in lines)
 
 
-def test_a_check_that_fails_is_exit_code_1(invoke: Any, found: dict[str, Run]) -> None:
-    result = invoke(found["faulty"])
+def test_a_check_that_fails_is_told_in_every_form(invoke: Any, found: dict[str, Run], tmp_path: Path) -> None:
+    assert "does not conform to HBP 1.0: 1 check failed: identity.other-blobs" in invoke(found["faulty"]).stdout
+    junit, report = tmp_path / "junit.xml", tmp_path / "report.html"
+    result = invoke(found["faulty"], "--json", "-", "--junit", str(junit), "--report", str(report))
     assert result.exit_code == 1
-    assert "does not conform to HBP 1.0: 1 check failed: identity.other-blobs" in result.stdout
-    assert "\x1b" not in result.stdout
-
-
-def test_json_alone_goes_to_standard_output(invoke: Any, found: dict[str, Run]) -> None:
-    result = invoke(found["faulty"], "--json")
-    told = json.loads(result.stdout, parse_constant=pytest.fail)
+    told = json.loads(result.stdout, parse_constant=pytest.fail)  # nothing else goes to standard output
     assert told["conforms"] is False
     assert told["about"]["target"] == TARGET
     assert {"name", "firmware", "serial", "build", "boot_id", "started"} <= told["about"].keys()
     assert sum(told["counts"].values()) == len(told["checks"])
     (failed,) = (check for check in told["checks"] if check["verdict"] == "failed")
-    assert failed["id"] == "identity.other-blobs"
-    assert failed["chapter"] == 5
+    assert (failed["id"], failed["chapter"]) == ("identity.other-blobs", 5)
     assert "UNKNOWN_ID, detail 0" in failed["evidence"]
 
-
-def test_junit_has_a_suite_for_each_level_and_a_case_for_each_check(
-    invoke: Any, found: dict[str, Run], tmp_path: Path
-) -> None:
-    file = tmp_path / "junit.xml"
-    assert invoke(found["faulty"], "--junit", str(file)).exit_code == 1
-    root = ElementTree.parse(file).getroot()
+    root = ElementTree.parse(junit).getroot()
     suites = root.findall("testsuite")
     assert [suite.get("name") for suite in suites] == ["level 0: link", "level 1: identity and parameters"]
     for suite in suites:
-        cases = suite.findall("testcase")
-        assert int(suite.get("tests", "")) == len(cases)
-        assert int(suite.get("failures", "")) == len(suite.findall("testcase/failure"))
-        assert int(suite.get("skipped", "")) == len(suite.findall("testcase/skipped"))
+        for count, of in (("tests", "testcase"), ("failures", "testcase/failure"), ("skipped", "testcase/skipped")):
+            assert int(suite.get(count, "")) == len(suite.findall(of))
     assert [case.get("name") for case in root.iter("testcase")] == [r.check.id for r in found["faulty"].results]
     assert root.find(".//failure") is not None
+
+    text = report.read_text()  # what the device says of itself is text in it
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e]", text)
+    assert "What failed" in text
 
 
 def test_the_report_begins_with_what_was_not_tested(invoke: Any, found: dict[str, Run], tmp_path: Path) -> None:
@@ -288,24 +282,10 @@ def test_the_report_begins_with_what_was_not_tested(invoke: Any, found: dict[str
     assert invoke(found["sound"], "--report", str(file), "--overwrite").exit_code == 0
 
 
-def test_what_a_device_says_is_text_in_the_report(invoke: Any, found: dict[str, Run], tmp_path: Path) -> None:
-    file = tmp_path / "report.html"
-    invoke(found["faulty"], "--report", str(file))
-    text = file.read_text()
-    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e]", text)
-    assert "What failed" in text
-
-
 def test_arguments_that_are_wrong(invoke: Any, found: dict[str, Run]) -> None:
     for arguments in (("--level", "6"), ("--speed", "0"), ("--junit", "-"), ("--report", "-")):
         assert invoke(found["sound"], *arguments).exit_code == 2
     assert isinstance(invoke(NoReply("nobody"), "--level", "1").exception, NoReply)
-
-
-def test_the_help_has_the_levels_and_an_example() -> None:
-    text = CliRunner().invoke(cli, ["conform", "--help"]).output
-    assert "bench conform serial:/dev/ttyACM0" in text
-    assert all(re.search(rf"^ +{level}  \w", text, re.MULTILINE) for level in range(6))
 
 
 # -- the checks themselves --------------------------------------------------------------------------------------------
@@ -336,6 +316,7 @@ def plain(text: str) -> str:
 
 
 @pytest.mark.real_time
+@pytest.mark.long("a level of checks in real time")
 def test_the_command_on_a_pty() -> None:
     with closing(Sim("--pty")) as sim:
         program = Program("bench", "conform", sim.target, "--level", "0", "--json", "-")

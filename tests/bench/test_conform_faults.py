@@ -15,7 +15,7 @@ from bench.conform.levels import MOTION, STATES, STREAMS
 from bench.signal.verdict import Verdict
 
 CASES = [
-    *((fault, check, STREAMS, "bytes") for fault, check in TO_STREAMS.items()),
+    *((fault, check, max(1, TABLE[check].needs), "bytes") for fault, check in TO_STREAMS.items()),
     *((fault, check, STATES, "bytes") for fault, check in TO_STATES.items()),
     *((fault, check, MOTION, "bytes") for fault, check in TO_MOTION.items()),
     *((fault, check, STATES, "CAN") for fault, check in ON_CAN.items()),

@@ -11,6 +11,7 @@ from unittest.mock import patch
 import cantools
 import numpy as np
 import pytest
+from against import said
 from collect import Bench
 
 from bench.cli import main
@@ -269,10 +270,7 @@ def test_written_to_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    with pytest.raises(SystemExit) as end:
-        main(["protocol", "dbc", *arguments])
-    assert end.value.code == 2
-    out, err = capsys.readouterr()
+    out, err = said(capsys, "protocol", "dbc", *arguments, code=2)
     assert out == ""
     assert err.startswith("error: ")
     assert err.count("\n") == 1

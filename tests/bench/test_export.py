@@ -254,7 +254,7 @@ def test_after_a_reboot_an_mdf_has_a_group_whose_time_begins_again(tmp_path: Pat
     once = exported.START + np.arange(500, dtype=np.int64) * exported.EVERY
     again = np.arange(300, dtype=np.int64) * exported.EVERY
     for index in (once, again):
-        writer.samples(exported.samples(exported.SAMPLES, index))
+        writer.take(exported.samples(exported.SAMPLES, index))
     writer.close()
     done = export(Run(tmp_path / "a.run"), tmp_path / "x.mf4")
     assert any("the device rebooted" in words for words in done.notes)
@@ -293,9 +293,9 @@ def test_a_part_of_the_time_and_of_the_channels(made: Path, ending: str, tmp_pat
 def test_a_run_that_was_cut_short_is_exported_up_to_there(made: Path, tmp_path: Path) -> None:
     """What is in no Parquet file yet comes from the journal; a stream that has nothing in a part has no rows."""
     writer = RunWriter(tmp_path / "a.run", exported.info())
-    writer.edges(exported.edges(np.arange(3, dtype=np.int64)))
+    writer.take(exported.edges(np.arange(3, dtype=np.int64)))
     chunk = exported.samples(exported.SAMPLES, exported.START + np.arange(800, dtype=np.int64) * exported.EVERY)
-    writer.samples(chunk)
+    writer.take(chunk)
     writer.abandon()
     for ending, read in READERS.items():
         out = tmp_path / f"x{ending}"
@@ -309,7 +309,7 @@ def test_a_run_that_was_cut_short_is_exported_up_to_there(made: Path, tmp_path: 
 
 def test_a_run_of_edges_alone(tmp_path: Path) -> None:
     writer = RunWriter(tmp_path / "a.run", exported.info())
-    writer.edges(exported.edges(np.arange(10, dtype=np.int64)))
+    writer.take(exported.edges(np.arange(10, dtype=np.int64)))
     writer.close()
     assert export(Run(tmp_path / "a.run"), tmp_path / "x.csv").files["edges"] == tmp_path / "x.csv"
     wanted = exported.expected(tmp_path / "a.run", "edges")
@@ -453,7 +453,7 @@ def test_a_mat_file_has_limits(tmp_path: Path, capsys: pytest.CaptureFixture[str
         info = exported.RunInfo(1000, 100, channels)
         writer = RunWriter(tmp_path / f"{len(name)}.run", info)
         index = np.arange(5, dtype=np.int64)
-        writer.samples(exported.SampleChunk(config, index, index * 10, np.zeros(5, config.dtype), ()))
+        writer.take(exported.SampleChunk(config, index, index * 10, np.zeros(5, config.dtype), ()))
         writer.close()
     export(Run(tmp_path / "63.run"), tmp_path / "63.mat")
     assert "x" * 63 in loadmat(tmp_path / "63.mat", simplify_cells=True)["samples"]
@@ -477,7 +477,7 @@ def fast_run(path: Path, seconds: int) -> Path:
     chunk = exported.samples(config, np.arange(exported.PWM_HZ, dtype=np.int64))
     for second in range(seconds):
         index = chunk.index + second * exported.PWM_HZ
-        writer.samples(exported.SampleChunk(config, index, index * exported.TICKS, chunk.raw, ()))
+        writer.take(exported.SampleChunk(config, index, index * exported.TICKS, chunk.raw, ()))
     writer.close()
     return path
 

@@ -241,9 +241,9 @@ def test_a_gap_is_in_no_stretch_and_between_no_edge_and_its_angle(tmp_path: Path
     path = tmp_path / "lossy.run"
     writer = RunWriter(path, whole.info)
     samples, first, last = whole.samples, round(0.7 * N), round(0.8 * N)
-    writer.edges(whole.edges)
-    writer.samples(part(samples, 0, first))
-    writer.samples(part(samples, last, N))
+    writer.take(whole.edges)
+    writer.take(part(samples, 0, first))
+    writer.take(part(samples, last, N))
     writer.close()
     found = drawn(path)
     spectrum = found["spectrum"].numbers

@@ -23,7 +23,7 @@ from shared import table
 from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, simulated
 
 from bench.cli import cli, main
-from bench.errors import BenchError, OutputsMayBeOn, UnsafeError
+from bench.errors import BenchError, UnsafeError
 from bench.hall.health import Health, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
@@ -202,20 +202,6 @@ def test_a_motor_is_stopped_by_the_speed_that_it_was_told_and_not_by_the_one_tha
     with reached(device, turn), opened(Options(TARGET, yes=True), RecordingScreen(), None) as source:
         assert "at +60 r/min it ran away and was stopped" in source.turned.remarks[0]
     assert at_rest(device)
-
-
-def test_what_a_lost_link_leaves_changed_is_named() -> None:
-    device = simulated()
-
-    def lose(number: int) -> None:
-        if device.bench.outputs_on and device.bench.truth.omega_m > 20.0:
-            links[-1].close()
-
-    with reached(device, lose) as links, pytest.raises(BenchError) as ended:
-        look(Options(TARGET, yes=True))
-    assert isinstance(ended.value, OutputsMayBeOn)
-    assert str(ended.value).startswith("OUTPUTS MAY STILL BE ON: cut the power. STOP was not sent, ")
-    assert str(ended.value).endswith("; not restored: i_max (was 8), observer (was 2)")
 
 
 # -- consent, and the end of it ---------------------------------------------------------------------------------

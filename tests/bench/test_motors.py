@@ -62,15 +62,6 @@ def check(config: Path) -> Health:
         return examine(trace(source.turned.capture))
 
 
-def test_they_are_ten_from_2_to_14_pole_pairs_with_and_without_saliency() -> None:
-    described = [load_params(file).motor for file in motors().values()]
-    assert (len(described), (min(m.n_p for m in described), max(m.n_p for m in described))) == (10, (2, 14))
-    assert sum(m.L_q > 1.2 * m.L_d for m in described) == 2
-    power = [1.5 * m.psi_f * m.n_p * m.i_max * load_params(f).firmware.omega_m_max
-             for m, f in zip(described, motors().values(), strict=True)]  # fmt: skip
-    assert min(power) < 20 < 500 < max(power)
-
-
 @each_motor
 def test_a_file_names_its_source_and_nothing_in_it_contradicts(name: str) -> None:
     notes: list[str] = []

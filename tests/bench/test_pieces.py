@@ -22,6 +22,8 @@ from long_run import KEPT, repeated
 
 import bench
 from bench.cli import cli
+from bench.device.heard import Missing
+from bench.device.losses import Continuity
 from bench.errors import BenchError
 from bench.files import leaves
 from bench.hall.health import examine
@@ -54,12 +56,13 @@ def in_groups(tmp_path: Path, small_groups: None) -> Path:
     """The kept reversal in many row groups, with 300 samples and 5 edges that are missing in its middle."""
     run = Run(REVERSAL)
     path = tmp_path / "groups.run"
-    out = RunWriter(path, run.info)
+    out, continuity = RunWriter(path, run.info), Continuity()
     for a in range(0, len(run.samples), 500):
         if a != 9000:
-            out.samples(part(run.samples, a + (300 if a == 9500 else 0), min(a + 500, len(run.samples))))
+            samples = part(run.samples, a + (300 if a == 9500 else 0), min(a + 500, len(run.samples)))
+            out.take(continuity.chunk(samples))
     for a in range(0, len(run.edges), 20):
-        out.edges(part(run.edges, a + (5 if a == 300 else 0), min(a + 20, len(run.edges))))
+        out.take(continuity.chunk(part(run.edges, a + (5 if a == 300 else 0), min(a + 20, len(run.edges)))))
     out.close()
     return path
 
@@ -140,9 +143,9 @@ def test_what_is_damaged_at_an_end_is_lost(in_groups: Path, stream: str, end: in
 def test_what_never_came_at_the_end_is_lost(tmp_path: Path) -> None:
     run = Run(STEADY)
     out = RunWriter(tmp_path / "a.run", run.info)
-    out.samples(run.samples)
-    out.missing(run.info.node, 40, 2)
-    out.missing(run.info.node + 1, 7, 0)
+    out.take(run.samples)
+    out.take(Missing(int(run.samples.tick[-1]), run.info.node, 40, 2))
+    out.take(Missing(int(run.samples.tick[-1]), run.info.node + 1, 7, 0))
     out.close()
     (lost,) = bench.read(tmp_path / "a.run").dropped
     assert lost[2].startswith("40 samples and 2 Hall edges did not come")
@@ -152,7 +155,7 @@ def test_what_never_came_at_the_end_is_lost(tmp_path: Path) -> None:
 def test_the_journal_is_read_by_part_and_channel_too(tmp_path: Path) -> None:
     run = Run(REVERSAL)
     out = RunWriter(tmp_path / "cut.run", run.info)
-    out.samples(run.samples)
+    out.take(run.samples)
     out.sync()
     out.abandon()
     read = bench.read(tmp_path / "cut.run", 0.5, 0.6, ["i_q"])
@@ -241,7 +244,7 @@ def test_memory_does_not_grow_with_the_run(tmp_path, small_groups: None, monkeyp
     monkeypatch.setattr(windows, "PIECE", 4000)
     for name in ("MOST", "MOST_EDGES"):
         monkeypatch.setattr(trace_of_analysis, name, 2000)
-    runs = [repeated(tmp_path / f"{times}.run", times) for times in (4, 30)]
+    runs = [repeated(tmp_path / f"{times}.run", times) for times in (4, 26)]
 
     def use(path: Path) -> None:
         if what == "score":
@@ -251,8 +254,8 @@ def test_memory_does_not_grow_with_the_run(tmp_path, small_groups: None, monkeyp
 
     use(runs[0])  # compiles
     short, long = (peak(lambda path=path: use(path)) for path in runs)  # type: ignore[misc]
-    samples = 30 * len(Run(REVERSAL).samples)
-    assert long < 1.5 * short  # seven times as long: of each window a few numbers are kept
+    samples = 26 * len(Run(REVERSAL).samples)
+    assert long < 1.5 * short  # six times as long: of each window a few numbers are kept
     assert long < samples * 8 * 3  # angle, estimate and error alone would be that
 
 
@@ -332,7 +335,7 @@ def test_a_run_without_edges_is_refused(tmp_path: Path) -> None:
     shutil.copytree(STEADY, tmp_path / "a.run")
     run = Run(tmp_path / "a.run")
     out = RunWriter(tmp_path / "b.run", replace(run.info))
-    out.samples(run.samples)
+    out.take(run.samples)
     out.close()
     with pytest.raises(BenchError, match="holds no samples or no Hall edges of a drive: record both"):
         Recorded(Run(tmp_path / "b.run"))

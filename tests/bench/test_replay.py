@@ -90,8 +90,8 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
         anew = int(np.searchsorted(run.samples.tick, edges[1].tick[0]))
     sink = RunSink(tmp_path / "gap.run", run.info, wait=True)
     for edge_chunk, samples in zip(edges, (first, second), strict=True):
-        sink.edges(edge_chunk)
-        sink.samples(samples)
+        sink.take(edge_chunk)
+        sink.take(samples)
     sink.close()
     result = replay(tmp_path / "gap.run", out=tmp_path / "out.run")
     none = {"start": 1, "drive": drive_resets(run), "lost_samples": 0, "lost_edges": 0}
@@ -136,7 +136,7 @@ def test_a_recording_without_what_observers_need_is_refused(run: Run, tmp_path: 
     raw = np.empty(100, config.dtype)
     for name in config.dtype.names:
         raw[name] = run.samples.raw[name][:100]
-    sink.samples(replace(part(run.samples, 0, 100), config=config, raw=raw))
+    sink.take(replace(part(run.samples, 0, 100), config=config, raw=raw))
     sink.close()
     with pytest.raises(BenchError, match=r"few\.run cannot be replayed: it has no channel u_beta, i_b"):
         replay(path)

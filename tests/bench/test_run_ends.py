@@ -7,6 +7,7 @@ that is in its own tests.
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 import signal
@@ -70,6 +71,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 VARIANTS = {
     "live, a load alone": partial(_command, "live TARGET --load 1 --viewer none"),
+    "live, to clear faults": partial(_command, f"live TARGET {SPIN} --viewer none --clear-faults"),
     "conform, states": partial(_command, "conform TARGET --level 3"),
 }
 
@@ -146,11 +148,16 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("command", COMMANDS | VARIANTS)
-@pytest.mark.parametrize(("make", "more", "words"), REFUSED.values(), ids=REFUSED)
-def test_a_drive_that_must_not_be_turned_is_left_as_it_is(
-    make: Callable[[], SimulatedDevice], more: str, words: str, command: str
-) -> None:
+@pytest.mark.parametrize(
+    ("why", "command"),
+    [
+        each
+        for each in product(REFUSED, COMMANDS | VARIANTS)
+        if each != ("it has a latched fault", "live, to clear faults")
+    ],
+)
+def test_a_drive_that_must_not_be_turned_is_left_as_it_is(why: str, command: str) -> None:
+    make, more, words = REFUSED[why]
     device = make()
     before = seen_in(device)
     ended = _run(command, device, more=more)
@@ -169,6 +176,19 @@ def _states(command: str, network: str) -> tuple[DriveState, ...]:
     ended = _run(command, simulated(network=network))
     assert ended.code == 0, ended.text
     return tuple(ended.link.states)
+
+
+@pytest.mark.parametrize(("command", "most"), {"live": 3.0, "accept": 3.0, "hall": 2.0, "notebook": 3.0}.items())
+def test_the_drives_own_limit_is_lowered_from_the_first_moment_on(command: str, most: float) -> None:
+    """Of the current, to what was announced."""
+    limits = set()
+
+    def look(link: SpoiltLink, number: int) -> None:
+        if link.device.drive.state in (DriveState.ARMED, DriveState.RUNNING):
+            limits.add(link.device.bench.parameters["i_max"])
+
+    assert _run(command, simulated(), look).code == 0
+    assert limits == {most}
 
 
 def _at(command: str, network: str) -> dict[str, int]:
@@ -209,6 +229,8 @@ def test_whoever_ends_it_and_when_all_is_off_and_as_it_was(command: str, network
         assert sum(state == DriveState.RUNNING for state in ended.link.states[at:]) <= SOON, moment
         assert ended.code == (130 if command in ("accept", "notebook") else 128 + kind), (moment, ended.text)
         assert "Traceback" not in ended.text
+        if command == "accept":
+            assert json.loads(Path("a.json").read_text())["verdict"] == "ABORTED"
 
 
 def _deaf(link: SpoiltLink, number: int) -> None:
@@ -245,8 +267,8 @@ WAYS: dict[str, tuple[Callable[[SpoiltLink, int], None], dict[str, int], str]] =
     "STOP is not answered": (_deaf, {"live": 1, "accept": 2, "hall": 2, "conform": 1, "notebook": 2}, "STOP"),
     "nor does the watchdog switch off": (_deaf_for_ever, dict.fromkeys(COMMANDS, 5), UNSAFE),
     "the drive trips": (_trips, {"live": 1, "accept": 1, "hall": 0, "conform": 6, "notebook": 1}, ""),
-    "the link fails once": (_fails_once, dict.fromkeys(COMMANDS, 2) | {"live": 0, "conform": 1}, ""),
-    "an error of this program": (partial(_fails_once, error=RuntimeError), dict.fromkeys(COMMANDS, 2), ""),
+    "the link fails once": (_fails_once, dict.fromkeys(COMMANDS, 2) | {"live": 0, "conform": 1}, "it failed"),
+    "an error of this program": (partial(_fails_once, error=RuntimeError), dict.fromkeys(COMMANDS, 2), "it failed"),
     "the cable is pulled": (_unplugged, dict.fromkeys(COMMANDS, 5), UNSAFE),
 }
 
@@ -260,6 +282,8 @@ def test_what_the_drive_or_the_link_does_leaves_nothing_on_unsaid(way: str, comm
     assert (ended.code, words in ended.text) == (codes[command], True), ended.text
     if way == "nor does the watchdog switch off":  # what may still be on keeps its lowered limit
         assert ended.link.left()[1]["1.i_max"] == {"hall": 2.0, "conform": 8.0}.get(command, 3.0)
+    if way == "the cable is pulled" and command != "conform":  # which changes nothing
+        assert re.search(r"not restored: (k_p_vt \(was 1268\), )?i_max \(was 8\)", ended.text), ended.text
     device = ended.link.device
     if way in ("the link fails once", "an error of this program"):  # STOP did it
         assert (ended.link.left(), device.drive.machine.faults) == (ended.before, Fault(0))

@@ -14,11 +14,14 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from _pytest.mark.structures import ParameterSet
 from conforming import run_on
 from hall_motor import PWM_HZ, TABLE_I, TICK_HZ, Motor, capture
 from virtual_run import NETWORKS, WatchedLink, at_rest, run, simulated
 
 import bench
+from bench.conform import run as conforming
+from bench.conform.catalogue import checks
 from bench.conform.claim import outcome
 from bench.conform.levels import MOTION
 from bench.rig.drive import RanAway
@@ -26,6 +29,7 @@ from bench.rig.runaway import RunawayGuard
 from bench.signal.chunks import narrowed, of_channels, part
 from protocol.messages import DriveState
 from sim.ports.device import SimulatedDevice
+from tests.choice import sampled
 
 SOON = 0.2  # s
 INVERTED = {"wiring__hall_invert": 7}
@@ -57,8 +61,14 @@ class Plant(WatchedLink):
         return self.ran[-1][0] - beyond[0] if beyond else 0.0
 
 
-@pytest.mark.parametrize("network", NETWORKS)
-@pytest.mark.parametrize(("config", "asked"), RUNAWAYS.values(), ids=RUNAWAYS)
+def of_networks(*networks: str) -> list[ParameterSet]:
+    return [pytest.param(*how, net, id=f"{name}, {net}") for name, how in RUNAWAYS.items() for net in networks]
+
+
+@pytest.mark.parametrize(
+    ("config", "asked", "network"),
+    [*of_networks("bytes"), *sampled("runaway on a bus", of_networks("CAN", "CAN FD"), 3, campaign="runaway")],
+)
 def test_a_motor_that_runs_away_is_stopped_at_once(config: dict[str, float], asked: float, network: str) -> None:
     link = Plant(simulated(network=network, **config))
     few = ("status", "i_q" if "encoder__present" in config else "omega_enc")
@@ -89,13 +99,14 @@ def test_a_notebook_stops_a_motor_that_runs_away_before_it_says_so() -> None:
         rig.wait(0.3)  # and it may be used again
 
 
-@pytest.mark.long("a whole level of checks of a drive that turns")
 @pytest.mark.parametrize("network", NETWORKS)
 def test_conform_stops_a_motor_that_runs_away_and_turns_it_no_more(network: str) -> None:
     device = simulated(network=network, **INVERTED)
     link = Plant(device)
-    results = run_on(link, MOTION, speed_rpm=300.0)
-    words = {result.check.id: result.evidence for result in results.results if result.check.id.startswith("motion.")}
+    motion = [check for check in checks() if check.id.startswith("motion.")]
+    with patch.object(conforming, "chosen", lambda level, bus: motion):
+        results = run_on(link, MOTION, speed_rpm=300.0)
+    words = {result.check.id: result.evidence for result in results.results}
     assert re.match(WORDS.format(300) + "STOP was sent", words["motion.stop"])
     assert words["motion.direction"] == words["motion.watchdog"] == "not tried: motion.stop failed"
     assert outcome(results).exit_code == 1
@@ -148,7 +159,10 @@ def manoeuvres(device: SimulatedDevice) -> None:
         rig.wait(0.3)
 
 
-@pytest.mark.parametrize("config", HEALTHY.values(), ids=HEALTHY)
+@pytest.mark.parametrize(
+    "config",
+    sampled("healthy motor", [pytest.param(HEALTHY[name], id=name) for name in HEALTHY], 3, campaign="runaway"),
+)
 def test_a_healthy_motor_is_never_stopped(config: dict[str, float]) -> None:
     manoeuvres(simulated(**config))
 
@@ -189,10 +203,10 @@ def looked_at(
         chunk = part(samples, first, first + 320)
         until = int(np.searchsorted(came.tick, chunk.tick[-1] - late * TICK_HZ))
         if until > given and edges is not None:
-            guard.edges(part(came, given, until))
+            guard.take(part(came, given, until))
             given = until
         if n not in lost:
-            guard.samples(chunk)
+            guard.take(chunk)
         if guard.verdict:
             return guard.verdict, float(chunk.tick[-1]) / TICK_HZ
     return "", math.nan

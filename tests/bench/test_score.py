@@ -168,7 +168,7 @@ def test_mixed_rates_are_noted(made_up: Path, tmp_path: Path) -> None:
     every = slice(0, None, 2)
     config = replace(few.config, decimation=2)
     sink = RunSink(tmp_path / "half.run", run.info, wait=True)
-    sink.samples(replace(few, config=config, index=few.index[every], tick=few.tick[every], raw=few.raw[every]))
+    sink.take(replace(few, config=config, index=few.index[every], tick=few.tick[every], raw=few.raw[every]))
     sink.close()
     board = score([made_up, tmp_path / "half.run"], ["drive_biased"])
     assert board.notes[0].startswith("recorded at 8000, 16000 samples/s: pooled by sample")
@@ -222,7 +222,7 @@ def test_a_gap_parts_the_recording_and_what_is_too_short_is_counted(made_up: Pat
     n, held = len(run.samples), [(0, 6000), (6100, 6600), (6640, len(run.samples))]  # 500 samples are 31 ms
     for (first, last), lost in zip(held, (0, 100, 40), strict=True):
         gaps = (Gap(0, lost, 4, False),) if lost else ()
-        sink.samples(replace(part(run.samples, first, last), gaps=gaps))
+        sink.take(replace(part(run.samples, first, last), gaps=gaps))
     sink.close()
     board = score([tmp_path / "gaps.run"])
     (track,) = board.tracks

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.device.heard import ClockRestarted, Heard
 from bench.errors import BenchError
 from bench.live.triggers import Condition, Triggers
 from protocol.descriptor import Channel
@@ -26,11 +27,11 @@ def chunk(i_q: np.ndarray, level: np.ndarray, first: int = 0, node: int = 1) -> 
     return SampleChunk(replace(CONFIG, node=node), index, index * 1000, raw, ())
 
 
-def hits(text: str, *chunks: SampleChunk) -> list[tuple[int, float]]:
+def hits(text: str, *items: Heard) -> list[tuple[int, float]]:
     found: list[tuple[int, float]] = []
     triggers = Triggers([Condition.parse(text)], 1, lambda _, tick, value: found.append((tick // 1000, value)))
-    for one in chunks:
-        triggers.samples(one)
+    for item in items:
+        triggers.take(item)
     return found
 
 
@@ -84,4 +85,8 @@ def test_values_that_are_none_and_other_nodes_do_not_trigger() -> None:
 def test_after_a_reboot_it_triggers_again() -> None:
     high = np.full(100, 9.0)
     late = chunk(high, high, 1_600_000)
-    assert hits("i_q>8", late, chunk(0 * high, high, 1_600_100), chunk(high, high, 50)) == [(1_600_000, 9.0), (50, 9.0)]
+    low, again, anew = chunk(0 * high, high, 1_600_100), chunk(high, high, 1_600_200), chunk(high, high, 50)
+    assert hits("i_q>8", late, low, again) == [(1_600_000, 9.0)]
+    for restarted in (ClockRestarted(1, 0), ClockRestarted(1, 0, rebooted=False)):
+        assert hits("i_q>8", late, low, restarted, anew) == [(1_600_000, 9.0), (50, 9.0)]
+    assert hits("i_q>8", late, low, ClockRestarted(2, 0), anew) == [(1_600_000, 9.0)]

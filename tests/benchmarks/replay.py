@@ -19,7 +19,6 @@ class Telemetry(NamedTuple):
     samples: np.ndarray  # of the front end
     reset: np.ndarray
     theta: np.ndarray  # rad, unwrapped
-    theta_vt: np.ndarray  # rad, of the drive's own vector tracking
     drive: dict[str, float]  # parameters
 
     def params(self, name: str):
@@ -48,8 +47,8 @@ class Telemetry(NamedTuple):
 def telemetry(bench: Rig, parts: list[Recorded]) -> Telemetry:
     """Everything recorded, as a host would have it."""
     reset = np.concatenate([part.samples["status"] & Status.OBSERVERS_RESET for part in parts]) != 0
-    theta, theta_vt = (np.concatenate([column(part, name) for part in parts]) for name in ("theta_e", "theta_vt"))
-    return Telemetry(front_end(bench, parts, reset), reset, theta, theta_vt, bench.parameters)
+    theta = np.concatenate([column(part, "theta_e") for part in parts])
+    return Telemetry(front_end(bench, parts, reset), reset, theta, bench.parameters)
 
 
 class Run:
@@ -72,10 +71,6 @@ class Run:
     def forced(self, rpm: float, i_q: float, seconds: float, mark: str = "") -> None:
         """Speed forced by the load machine, current by the drive; `mark` names the stretch."""
         self._keep(self.bench.forced(rpm, i_q, seconds), mark)
-
-    def spin(self, rpm: float, seconds: float, mark: str = "", load: float = 0.0) -> None:
-        """Speed by the drive's own loop, against a load in N·m."""
-        self._keep(self.bench.spin(rpm, seconds, load), mark)
 
     def telemetry(self) -> Telemetry:
         """Everything recorded so far."""

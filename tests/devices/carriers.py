@@ -34,6 +34,7 @@ MOST_LOAD = 0.95
 EDGES_PER_SECOND = 1000
 EDGE_SLOTS, SAMPLE_SLOTS = 16, 32
 MOST_GROUPS = 16
+STOP_FRAME = -1
 
 
 class Carrier:
@@ -169,7 +170,7 @@ class CanCarrier(Carrier):
         return self._counters.bad
 
     def receive(self) -> list[tuple[Message, int]]:
-        """The messages that have come, with the number of the host; a STOP frame is a message of type 0."""
+        """The messages that have come, with the number of the host; a STOP frame has the type STOP_FRAME."""
         overheard, self._overheard = self._overheard, b""
         frames = RECORD.iter_unpack(overheard + self._received())
         return [found for number, n, *_, data in frames if (found := self._receive(number, data[:n])) is not None]
@@ -180,7 +181,7 @@ class CanCarrier(Carrier):
             return None
         kind, node, slot = found
         if kind == CanClass.STOP:
-            return Message(0, 0, 0, node, b""), 0
+            return Message(STOP_FRAME, 0, 0, node, b""), 0
         if kind not in (CanClass.STATUS, CanClass.TO_DEVICE):
             return None
         body = self._assemblers.setdefault(number, self.assembler(node, self._counters)).feed(data)

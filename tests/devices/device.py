@@ -360,10 +360,11 @@ class Device:
     def trip(self, fault: Fault) -> None:
         """Outputs off, and FAULT until it is cleared."""
         self.motor.setpoint = None
-        self.first_fault = self.first_fault or fault
-        self.faults |= fault
-        self.event(Event.FAULT, float(fault))
         self.enter(State.FAULT)
+        if new := fault & ~self.faults:
+            self.first_fault = self.first_fault or new
+            self.faults |= new
+            self.event(Event.FAULT, float(new))
 
     def enter(self, state: State) -> None:
         if state != self.state:
@@ -378,14 +379,14 @@ class Device:
 
     def watchdog_left(self) -> int:
         """ms, as the heartbeat has it."""
-        if self.state not in (State.ARMED, State.RUNNING):
-            return UNFED
-        limit = self.value("watchdog", self.watchdog)
-        left = (limit if isfinite(limit) else self.watchdog) - (self.tick() - self._fed_at) / TICK_HZ
-        return max(0, int(1e3 * left))
+        return max(0, self._ticks_left() * 1000 // TICK_HZ) if self.state in (State.ARMED, State.RUNNING) else UNFED
 
     def watchdog_expired(self) -> bool:
-        return self.watchdog_left() == 0
+        return self._ticks_left() <= 0
+
+    def _ticks_left(self) -> int:
+        limit = self.value("watchdog", self.watchdog)
+        return round((limit if isfinite(limit) else self.watchdog) * TICK_HZ) - (self.tick() - self._fed_at)
 
     def setpoint_message(self, message: Message, peer: Peer) -> bytes:
         mode, counter, value, value2 = struct.unpack("<BxHff", message.payload)

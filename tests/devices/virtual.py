@@ -13,7 +13,7 @@ from protocol.canmap.frame import CAN_RECORD
 from protocol.canmap.host import CanWire
 from protocol.links.base import MAX_READ
 from protocol.wire import ByteWire, HostWire
-from tests.devices.carriers import CLASSIC, ByteCarrier, CanCarrier
+from tests.devices.carriers import CLASSIC, STOP_FRAME, ByteCarrier, CanCarrier
 from tests.devices.device import Device
 
 STEP = 0.005  # s that pass at most before the device looks again
@@ -24,7 +24,7 @@ _numbers = itertools.count()
 def turn(device: Device) -> None:
     """Let the device take what has come, and do what is due."""
     for message, host in device.carrier.receive():
-        if message.type == 0:
+        if message.type == STOP_FRAME:
             device.stop_frame()
         else:
             device.receive(message, host)

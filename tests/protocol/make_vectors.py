@@ -90,25 +90,36 @@ def framing() -> list[Case]:
     return cases
 
 
-def laid_out(layout: str, values: tuple[object, ...]) -> tuple[Case, bytes]:
-    """Return values by their names, and their bytes. A layout: "u16 id, pad 2, f32 value"; "u16s": their number first.
+def table_after(mark: str) -> list[list[str]]:
+    """Return off, type and field of each row of the byte table of SPEC.md that follows a mark."""
+    text = (VECTORS.parent / "SPEC.md").read_text(encoding="utf-8")
+    assert text.count(mark) == 1, mark
+    table = text.split(mark, 1)[1].split("| off ", 1)[1].split("\n\n", 1)[0]
+    return [[cell.strip() for cell in line.strip("|").split("|")][:3] for line in table.splitlines()[2:]]
 
-    "flag" is a bool in a byte, "utf8" a text without an end.
-    """
+
+def laid_out(message: str, values: tuple[object, ...]) -> tuple[Case, bytes]:
+    """Return values by their names, and their bytes, as the message's table has them; of a list its number first."""
+    if not values:
+        return {}, b""
     named: Case = {}
-    out, left = b"", iter(values)
-    for kind, name in (each.split() for each in layout.split(",") if layout):
-        if kind == "pad":
-            out += bytes(int(name))
+    out, left, tail = b"", iter(values), b""
+    mark = "`ErrorReply`, with the flags" if message == "ErrorReply" else f"`{message}`\n\n"
+    for offset, kind, name in table_after(mark):
+        assert int(offset) == len(out)
+        if kind.startswith("pad"):
+            out += bytes(int(kind[4:]))
             continue
-        value = named[name] = next(left)
-        if kind == "u16s":
-            assert isinstance(value, list)
-            out += F(("u16", len(value)), *(("u16", each) for each in value))
-        elif kind == "utf8":
-            out += str(value).encode()
-        else:
-            out += F(("u8" if kind == "flag" else kind, value))
+        value = next(left, None)
+        if isinstance(value, list):
+            tail = F(*(("u16", each) for each in value))
+        if kind:
+            out += F((kind, len(value) if isinstance(value, list) else value))
+        else:  # to the end
+            out += str(value).encode() if isinstance(value, str) else value if isinstance(value, bytes) else tail
+        if value is not None:
+            named[name] = value
+    assert next(left, None) is None
     return named, out
 
 
@@ -116,58 +127,45 @@ def messages() -> list[Case]:
     """One of each message, by the name of its class and of its fields."""
     cases: list[Case] = []
 
-    def add(message: str, type_: int, flags: int, tid: int, layout: str = "", *values: object, node: int = 1) -> None:
-        named, payload = laid_out(layout, values)
+    def add(message: str, type_: int, flags: int, tid: int, *values: object, node: int = 1) -> None:
+        named, payload = laid_out(message, values)
         body_ = body(type_, flags, tid, node, payload)
         cases.append(frame_case(message, named, body_, wire(body_)))
 
     req, rep, err = 0x01, 0x11, 0x31
-    layout = "u32 nonce, u8 major_min, u8 major_max, u16 rx_max"
-    add("Hello", 0x01, req, 1, layout, 0x12345678, 1, 1, 1024, node=0)
-    layout = """u32 nonce, u32 boot_id, u8 major, u8 minor, u16 rx_max, u16 tx_max, pad 2, u32 features,
-        u32 schema_crc, u32 tick_hz, u32 pwm_hz, u8 state, u8 node, u8 role, u8 nodes, text16 name, text16 firmware,
-        text24 serial, text24 build"""
+    add("Hello", 0x01, req, 1, 0x12345678, 1, 1, 1024, node=0)
     numbers = (0x12345678, 0xCAFE0001, 1, 0, 1024, 512, 7, 0xCBF43926, 20_000_000, 16_000, 1, 1, 1, 2)
     for texts in (
         ("drive", "0.1.0", "33FFD8054D48383611571943", "9f2c61e-dirty"),
         ("drive", "", "", ""),
         ("Ω" * 8, "0123456789abcdef", "µ" * 12, "€" * 8),
     ):
-        add("HelloReply", 0x01, rep, 1, layout, *numbers, *texts)
+        add("HelloReply", 0x01, rep, 1, *numbers, *texts)
     add("TimeSync", 0x02, req, 2)
-    add("TimeSyncReply", 0x02, rep, 2, "u64 rx_tick, u64 tx_tick", 0x100000002, 0x100000FFF)
-    layout = """u64 tick, u32 boot_id, u32 faults, u32 first_fault, u32 tx_dropped, u32 rx_bad, u16 setpoint_counter,
-        u16 setpoints_rejected, u16 last_tid, u16 watchdog_ms, u8 state, flag outputs_on, pad 2, u32 edges"""
+    add("TimeSyncReply", 0x02, rep, 2, 0x100000002, 0x100000FFF)
     health = (0x0000000500000001, 0xCAFE0001, 33, 1, 3, 70000, 65535, 2, 17, 65535, 4)
-    add("Heartbeat", 0x04, req, 0, layout, *health, False, 0xFFFFFFF0)
-    add("Alive", 0x05, req, 0, "u32 counter", 0x01020304)
-    add("BlobRead", 0x10, req, 3, "u8 id, pad 1, u16 length, u32 offset", 0, 1000, 65536)
-    layout = "u8 id, pad 1, u16 length, u32 offset, u32 total, bytes data"
-    add("BlobReply", 0x10, rep, 3, layout, 0, 5, 65536, 65541, bytes(range(5)))
-    add("ParamGet", 0x11, req, 4, "u16 id, pad 2", 102)
-    layout = "u16 id, pad 2, f32 value, f32 lo, f32 hi, f32 default"
-    add("ParamReply", 0x11, rep, 4, layout, 102, 0.15625, 0.0, 100.0, 0.25)
-    add("ParamSet", 0x12, req, 5, "u16 id, pad 2, f32 value", 102, -1.5)
-    add("ParamStored", 0x12, rep, 5, "u16 id, pad 2, f32 stored", 102, 0.5)
+    add("Heartbeat", 0x04, req, 0, *health, False, 0xFFFFFFF0)
+    add("Alive", 0x05, req, 0, 0x01020304)
+    add("BlobRead", 0x10, req, 3, 0, 1000, 65536)
+    add("BlobReply", 0x10, rep, 3, 0, 5, 65536, 65541, bytes(range(5)))
+    add("ParamGet", 0x11, req, 4, 102)
+    add("ParamReply", 0x11, rep, 4, 102, 0.15625, 0.0, 100.0, 0.25)
+    add("ParamSet", 0x12, req, 5, 102, -1.5)
+    add("ParamStored", 0x12, rep, 5, 102, 0.5)
     add("ParamCommit", 0x13, req, 6)
     add("Empty", 0x13, rep, 6)
-    add("StateCommand", 0x20, req, 7, "u8 command, pad 3, u32 argument", 1, 0xCAFE0001)
-    add("StateReply", 0x20, rep, 7, "u8 state, pad 3", 2)
-    add("ErrorReply", 0x20, err, 7, "u16 code, u8 request, pad 1, f32 detail", 6, 0x20, 0.0)
-    add("Setpoint", 0x21, req, 0, "u8 mode, pad 1, u16 counter, f32 value, f32 value2", 2, 9, 4.0, -0.5)
-    layout = "u8 stream, u8 event, u16 decimation, u16 max_latency_ms, u16s channels"
-    add("StreamSet", 0x30, req, 8, layout, 0, 0, 16, 20, [3, 5, 1])
-    layout = "u8 stream, pad 1, u16 cfg_id, u16 sample_bytes, u16 block, f32 load, u8 slot, pad 3, u64 tick0"
-    add("StreamReply", 0x30, rep, 8, layout, 0, 0xABCD, 5, 20, 0.125, 17, 0x100000003)
-    add("StreamGet", 0x33, req, 8, "u8 stream, pad 3", 2)
-    layout = """u8 stream, flag running, u8 event, u8 slot, u16 decimation, u16 max_latency_ms, u16 cfg_id,
-        u16 sample_bytes, u16 block, pad 2, u64 tick0, u16s channels"""
-    add("StreamInfo", 0x33, rep, 8, layout, 2, True, 0, 17, 16, 20, 0xABCD, 5, 12, 0x100000003, [3, 5, 1])
-    add("StreamStart", 0x31, req, 9, "u32 mask", 3)
-    add("StreamStop", 0x32, req, 10, "u32 mask", 0xFFFFFFFF)
-    layout = "u64 tick, u16 code, u8 node, pad 1, f32 arg, f32 detail"
-    add("DeviceEvent", 0x42, req, 0, layout, 0x1000000000, 3, 1, 4.0, 300.0)
-    add("Log", 0x43, req, 0, "u8 level, utf8 text", 6, "R = 0.158 Ω")
+    add("StateCommand", 0x20, req, 7, 1, 0xCAFE0001)
+    add("StateReply", 0x20, rep, 7, 2)
+    add("ErrorReply", 0x20, err, 7, 6, 0x20, 0.0)
+    add("Setpoint", 0x21, req, 0, 2, 9, 4.0, -0.5)
+    add("StreamSet", 0x30, req, 8, 0, 0, 16, 20, [3, 5, 1])
+    add("StreamReply", 0x30, rep, 8, 0, 0xABCD, 5, 20, 0.125, 17, 0x100000003)
+    add("StreamGet", 0x33, req, 8, 2)
+    add("StreamInfo", 0x33, rep, 8, 2, True, 0, 17, 16, 20, 0xABCD, 5, 12, 0x100000003, [3, 5, 1])
+    add("StreamStart", 0x31, req, 9, 3)
+    add("StreamStop", 0x32, req, 10, 0xFFFFFFFF)
+    add("DeviceEvent", 0x42, req, 0, 0x1000000000, 3, 1, 4.0, 300.0)
+    add("Log", 0x43, req, 0, 6, "R = 0.158 Ω")
     return cases
 
 

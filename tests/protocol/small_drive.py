@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from fractions import Fraction
+
 import numpy as np
 
 from protocol.device.compiled import CompiledLink, CompiledSession
@@ -11,6 +14,12 @@ from protocol.framing import MAJOR, Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import DriveState, ErrorCode, Fault, Feature, Request, Role, SetpointMode
 from protocol.signals import Flag, Parameter, RawType, Signal, Unit
 from protocol.streams import EDGE_ILLEGAL, EDGE_RECORD
+from tests.devices import FULL
+from tests.devices import build as build_device
+from tests.devices import vocabulary as words
+from tests.devices.device import TICK_HZ
+from tests.devices.virtual import VirtualLink
+from tests.devices.vocabulary import Vocabulary
 
 TICKS = 1250  # in a PWM period
 CHANNELS = (
@@ -92,6 +101,66 @@ def small_link_in_c(**changes: object) -> tuple[CompiledLink, CompiledSession, S
     session = link.add(app, identity(**changes))
     link.advance(0)
     return link, session, app
+
+
+SMALL = replace(
+    FULL, name="small", firmware="1.0", serial="", build="", modes=FULL.modes[:1],
+    channels=tuple(
+        words.Channel(each.id, each.name, each.raw, each.unit, each.flags, each.scale, lambda s: s.hall)
+        for each in CHANNELS
+    ),
+    parameters=tuple(
+        words.Parameter(p.id, p.name, *map(float, np.float32([DEFAULTS[p.name], p.lo, p.hi])), p.unit, p.flags)
+        for p in PARAMETERS
+    ),
+)  # fmt: skip
+"""The same drive for `tests.devices`."""
+
+
+class AloneLink(VirtualLink):
+    """A drive by SPEC.md alone: a link, its session and its app in one."""
+
+    def __init__(self, vocabulary: Vocabulary = SMALL) -> None:
+        super().__init__(can=False)
+        self._now = Fraction(0)
+        self.device = build_device(vocabulary, clock=self.clock)
+        self.device.boot_id = 0xB0071D
+        self.device.attach(self.carrier)
+
+    def receive(self, data: bytes) -> None:
+        self.write(data)
+
+    def advance(self, tick: int) -> None:
+        self._now = Fraction(tick, TICK_HZ)
+        self.device.advance()
+
+    def data_to_send(self) -> bytes:
+        data = bytes(self.port.to_host)
+        self.port.to_host.clear()
+        return data
+
+    @property
+    def values(self) -> dict[int, float]:
+        return self.device.values
+
+    @property
+    def states(self) -> list[DriveState]:
+        """The present one."""
+        return [self.device.state]
+
+    @property
+    def outputs_on(self) -> bool:
+        return self.device.outputs_on
+
+    def fault(self, bits: Fault) -> None:
+        self.device.trip(bits)
+
+
+def small_link_alone(features: Feature = SMALL.features) -> tuple[AloneLink, AloneLink, AloneLink]:
+    """Return the same by SPEC.md alone."""
+    made = AloneLink(SMALL.without(features=features))
+    made.advance(0)
+    return made, made, made
 
 
 def wire_of(message: Request, tid: int = 0, node: int = 1) -> bytes:

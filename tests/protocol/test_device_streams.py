@@ -95,30 +95,6 @@ def test_a_block_holds_what_fits_and_waits_no_longer_than_asked() -> None:
     assert refusal(Device(), pwm(), tx_max=20) == (ErrorCode.DOES_NOT_FIT, 4)
 
 
-def test_a_partial_block_goes_out_when_it_is_late() -> None:
-    device = Device()
-    device.start(pwm(latency=5))
-    device.push(0, 10)
-    device.link.advance(5 * 20_000 - 1)
-    assert device.frames() == []
-    device.link.advance(5 * 20_000)
-    assert [records_in(raw) for raw in device.frames()] == [10]
-
-
-def test_nothing_is_sent_before_start_and_after_stop() -> None:
-    device = Device()
-    device.session.streams.configure(pwm(), 1024)
-    device.push(0, 1000)
-    assert device.frames() == []
-    device.session.streams.start(1)
-    device.push(1000, 200)
-    device.session.streams.stop(1)
-    device.push(1200, 1000)
-    assert sum(records_in(raw) for raw in device.frames()) == 200
-    with pytest.raises(Refused, match="stream 0 is not configured"):
-        device.session.streams.start(1)
-
-
 def test_a_jump_of_the_index_is_told() -> None:
     device = Device()
     config, _ = device.start(pwm())
@@ -158,16 +134,6 @@ def test_edges_never_trail_the_samples(edges: list[int], pushes: list[int], late
         elif raw[0] == 0x40:
             sent = tick + (n - 1) * TICKS
     assert seen == len([t for t in edges if t <= (index - 1) * TICKS])
-
-
-def test_edges_go_out_by_themselves_when_no_samples_do() -> None:
-    device = Device()
-    device.start(StreamSet(1, StreamEvent.EDGES, 1, 20))
-    device.session.push_edges(edges_at([5, 6]))
-    device.link.advance(399_999)
-    assert device.frames(0x41) == []
-    device.link.advance(400_000)
-    assert len(device.frames(0x41)) == 1
 
 
 reads = st.lists(st.tuples(st.integers(1, 200), st.integers(0, 2500)), min_size=1, max_size=25)
@@ -238,12 +204,6 @@ def refusal(device: Device, request: StreamSet, tx_max: int = 1024) -> tuple[int
     with pytest.raises(Refused) as caught:
         device.session.streams.configure(request, tx_max)
     return caught.value.code, caught.value.detail
-
-
-def test_each_configuration_has_another_number() -> None:
-    device = Device(boot_id=0xFFFE)
-    numbers = [device.session.streams.configure(pwm(), 1024).cfg_id for _ in range(3)]
-    assert numbers == [0xFFFF, 1, 2]  # 0 is never used
 
 
 def wire_rate(size: int, block: int, decimation: int) -> float:

@@ -44,8 +44,17 @@ def test_any_cut_gives_the_same_frames(sent: list[Frame], cuts: list[int], noise
     assert [parse_frame(raw) for raw in expected][-len(sent) or len(expected) :] == sent
 
 
-@given(st.binary(max_size=400))
-def test_accepts_exactly_what_the_reference_accepts(data: bytes) -> None:
+EDITS = st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 4), st.binary(max_size=3)), max_size=4)
+"""Where, how many bytes go, and which come instead."""
+SENT = st.lists(frames, max_size=4).map(lambda sent: b"".join(map(encode_frame, sent)))
+
+
+@given(st.one_of(st.binary(max_size=400), SENT), EDITS)
+def test_accepts_exactly_what_the_reference_accepts(data: bytes, edits: list[tuple[int, int, bytes]]) -> None:
+    """Noise, and frames with bytes that were changed, lost or inserted."""
+    for where, gone, new in edits:
+        at = where % (len(data) + 1)
+        data = data[:at] + new + data[at + gone :]
     data = b"\0" + data + b"\0"
     assert Deframer().feed(data) == reference.receive(data)
 

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
 from lying_link import LyingLink
-from small_drive import PARAMETERS, SmallDrive, identity, small_link
+from small_drive import PARAMETERS, SmallDrive, identity
 
 from bench.cli import cli
 from bench.device import description as inspect
 from bench.device.client import Client
 from bench.device.node import Node
-from bench.errors import DoesNotFit, NodeError
+from bench.errors import DoesNotFit
 from protocol.device.session import DeviceLink
 from protocol.errors import DeviceDefect, VersionError
 from protocol.framing import Frame
-from protocol.messages import HelloReply, MessageType, Role
+from protocol.messages import HelloReply, MessageType
 from protocol.signals import Flag, RawType, Signal, Unit
 
 
@@ -34,23 +33,11 @@ class Other(SmallDrive):
         self.values |= values
 
 
-def link_to(app: SmallDrive, nodes: Iterable[int] = (1,), **changes: object) -> LyingLink:
+def link_to(app: SmallDrive, **changes: object) -> LyingLink:
     device = DeviceLink()
-    for node in nodes:
-        device.add(app, identity(node, **changes))
+    device.add(app, identity(**changes))
     device.advance(0)
     return LyingLink(device=device)
-
-
-def hello_with(**changes: object) -> Callable[[Frame], Frame]:
-    """Lie about these fields of HELLO's reply."""
-
-    def lie(frame: Frame) -> Frame:
-        if frame.type != MessageType.HELLO or frame.is_error:
-            return frame
-        return frame._replace(payload=replace(HelloReply.unpack(frame.payload), **changes).pack())
-
-    return lie
 
 
 def many(n: int, raw: RawType) -> tuple[Signal, ...]:
@@ -62,54 +49,14 @@ def node_of(link: LyingLink) -> Node:
     return Node(client, client.connect().node)
 
 
-@pytest.fixture
-def info(monkeypatch: pytest.MonkeyPatch):
-    """Run `bench info` on a link; return what it finds, prints and raises."""
-
-    def run(link: LyingLink) -> tuple[dict, str, BaseException | None]:
-        monkeypatch.setattr(inspect, "open_link", lambda target: link)
-        result = CliRunner().invoke(cli, ["info", "tcp:x:1", "--json"])
-        text = CliRunner().invoke(cli, ["info", "tcp:x:1"]).output
-        return json.loads(result.stdout, parse_constant=pytest.fail), text, result.exception
-
-    return run
-
-
-def test_unknown_role_state_unit_and_limits_are_shown_as_they_are(info) -> None:
+def test_unknown_unit_and_limits_are_shown_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     gain = replace(PARAMETERS[0], lo=-math.inf, hi=math.inf, unit=Unit(40))
-    link = link_to(Other(many(2, RawType.U8), (gain,), gain=math.nan), role=Role(7))
-    found, text, error = info(link)
-    assert error is None
-    (node,) = found["nodes"]
-    assert node["identity"]["role"] == "role 7"
+    link = link_to(Other(many(2, RawType.U8), (gain,), gain=math.nan))
+    monkeypatch.setattr(inspect, "open_link", lambda target: link)
+    result = CliRunner().invoke(cli, ["info", "tcp:x:1", "--json"])
+    (node,) = json.loads(result.stdout, parse_constant=pytest.fail)["nodes"]
     (parameter,) = node["parameters"]
     assert [parameter[key] for key in ("value", "lo", "hi", "default", "unit")] == [None, None, None, 2.5, "unit 40"]
-    assert "(role 7)" in text
-    assert "unit 40" in text
-
-
-def test_a_device_with_neither_channels_nor_parameters(info) -> None:
-    link = link_to(Other())
-    found, _, error = info(link)
-    assert error is None
-    assert (found["nodes"][0]["channels"], found["nodes"][0]["parameters"]) == ([], [])
-    with pytest.raises(NodeError, match="node 1 has no channels to stream"):
-        node_of(link).channels(None)
-
-
-def test_all_nodes_of_a_link(info) -> None:
-    found, _, error = info(link_to(Other(), range(1, 41)))
-    assert error is None
-    assert [node["identity"]["node"] for node in found["nodes"]] == list(range(1, 41))
-    assert not found["unread"]
-
-
-def test_nodes_that_are_not_there_are_named_after_those_that_are(info) -> None:
-    found, text, error = info(LyingLink(hello_with(nodes=3), small_link()[0]))
-    assert [node["identity"]["node"] for node in found["nodes"]] == [1]
-    assert found["unread"] == {number: f"HELLO was refused: UNKNOWN_NODE ({number})" for number in ("2", "3")}
-    assert isinstance(error, NodeError)
-    assert "theta" in text
 
 
 @pytest.mark.parametrize(
@@ -151,14 +98,13 @@ def test_a_parameter_that_cannot_be_is_not_used(name: str, value: float, words: 
     assert set(node.parameter_replies()) == {"gain", "n_p", "serial", "watchdog"}
 
 
-def test_a_descriptor_of_4096_records_is_read() -> None:
-    assert len(node_of(link_to(Other(many(4096, RawType.U8)))).descriptor.channels) == 4096
-    with pytest.raises(DeviceDefect, match="the descriptor of node 1 has 131104 bytes"):
-        _ = node_of(link_to(Other(many(4097, RawType.U8)))).descriptor
-
-
 def test_a_device_of_another_major_says_so_at_once() -> None:
-    link = LyingLink(hello_with(major=2))
+    def lie(frame: Frame) -> Frame:
+        if frame.type != MessageType.HELLO or frame.is_error:
+            return frame
+        return frame._replace(payload=replace(HelloReply.unpack(frame.payload), major=2).pack())
+
+    link = LyingLink(lie)
     with pytest.raises(VersionError, match=r"the device speaks HBP 2.0, this host 1"):
         Client(link).connect()
     assert link.clock() < 0.2

@@ -12,7 +12,7 @@ import can_rows
 import make_vectors
 import numpy as np
 import pytest
-from small_drive import frames_in, small_link, small_link_in_c
+from small_drive import frames_in, small_link, small_link_alone, small_link_in_c
 from test_spec import KINDS
 from test_streams import decode_all, joined
 
@@ -67,7 +67,10 @@ def batches(request: pytest.FixtureRequest) -> Callable[[Sequence], list]:
     return cut
 
 
-@pytest.fixture(params=[small_link, pytest.param(small_link_in_c, marks=needs("C compiler"))], ids=["Python", "C"])
+@pytest.fixture(
+    params=[small_link, pytest.param(small_link_in_c, marks=needs("C compiler")), small_link_alone],
+    ids=["Python", "C", "SPEC alone"],
+)
 def make(request: pytest.FixtureRequest) -> Callable[..., tuple]:
     """A link with a small drive, behind each device side."""
     return request.param
@@ -87,12 +90,12 @@ def test_files_are_what_the_independent_implementation_makes(name: str) -> None:
 def test_frame_is_found_or_counted_however_it_comes(case: dict) -> None:
     wire, verdict = bytes.fromhex(case["wire_hex"]), case["verdict"]
     good = [bytes.fromhex(case["body_hex"])] if verdict == "ok" else []
-    counts = {"frames": len(good)} | ({} if verdict in ("ok", "nothing") else {verdict: 1})
+    counts = {"frames": len(good)} | ({} if verdict in ("ok", "nothing") else {verdict: 1, "bad": 1})
 
     def check(*pieces: bytes) -> None:
         deframer = Deframer()
         assert [raw for piece in pieces for raw in deframer.feed(piece)] == good
-        check_counts(deframer.counters, counts, "frames bad_crc bad_cobs bad_length too_long")
+        check_counts(deframer.counters, counts, "frames bad bad_crc bad_cobs bad_length too_long")
 
     check(wire)
     step = 1 if len(wire) < 100 else 37  # every cut of the short ones, some of the long ones
@@ -261,7 +264,7 @@ def test_can_streams(case: dict, batches: Callable[[Sequence], list]) -> None:
         for n, channel in enumerate(channels):
             assert chunk.raw[channel.name].tolist() == ((chunk.index // c["decimation"] + n) % 65536).tolist()
     assert joined(chunks, "index") == case["index"]
-    assert [gap[:3] for gap in gaps] == [tuple(gap) for gap in case["gaps"]]
+    assert gaps == [(*gap, False) for gap in case["gaps"]]
     names = "samples lost_by_index frames lost_by_seq out_of_order malformed late"
     check_counts(decoder.counters, case["account"], names)
 

@@ -74,7 +74,9 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Run:
 def test_what_is_written_holds_every_measurement(ran: Run) -> None:
     run, folder = ran, ran.directory
     assert run.tests == {"good": "PASS", "bad": "FAIL", "cannot": "SKIPPED"}
-    assert json.loads((folder / "a.json").read_text()) == to_json(run.result)
+    written = json.loads((folder / "a.json").read_text())
+    assert written == to_json(run.result) == to_json(run_from_json(written))
+    assert run_from_json(written).tests[0] == run["good"]
     assert (folder / "out/report/report.html").is_file()
     assert sorted(path.name for path in (folder / "out/report/recordings").iterdir()) == ["bad.run", "good.run"]
     assert (run["good"].recording, run["cannot"].recording) == ("recordings/good.run", "")
@@ -330,7 +332,7 @@ def test_plain(): pass
 """
 
 
-@pytest.mark.long("two processes of a suite, ended")
+@pytest.mark.campaign("terminal")
 def test_two_processes_that_are_ended_leave_a_result_that_names_what_had_not_finished(
     accepting: Accepting, start: Callable[..., Program]
 ) -> None:

@@ -107,15 +107,8 @@ def test_the_screen_names_each_test_and_each_measurement_that_did_not_pass(ran: 
 # -- data that cannot tell --------------------------------------------------------------------------------------
 
 LOSS = """
-@limit("before", hi=1)
-@limit("during", hi=1)
-@limit("too_much_during", hi=1)
-@limit("part_without", hi=1)
-@limit("part_with", hi=1)
-@limit("after", hi=1)
-@limit("both", hi=1)
-@limit("from_nothing", hi=1)
-@limit("samples", hi=1e9)
+NAMES = "before", "during", "too_much_during", "part_without", "part_with", "after", "both", "from_nothing"
+@limits(*(Limits(name, hi=1) for name in NAMES), Limits("samples"))
 def test_loses(drive, record, measure):
     turn(drive, record)
     a = record(0.1)

@@ -6,6 +6,7 @@ import pytest
 import rerun as rr
 import synthetic
 
+from bench.record.info import SummaryText
 from bench.record.sink import RunSink
 
 
@@ -27,6 +28,6 @@ def recording(made: synthetic.SyntheticRun, tmp_path_factory: pytest.TempPathFac
     path = tmp_path_factory.mktemp("recording") / "run.run"
     sink = RunSink(path, synthetic.run_info(), wait=True)
     made.feed(sink)
-    sink.summary("# Summary\n\nall well")
+    sink.take(SummaryText("# Summary\n\nall well"))
     sink.close()
     return path

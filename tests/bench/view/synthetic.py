@@ -14,12 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from bench.device.heard import Note
+from bench.device.losses import Continuity
 from bench.record.info import RunInfo
 from bench.record.reader import Run
 from bench.record.sink import RunSink
 from bench.view import schema
 from bench.view.viewing import write_rrd
 from protocol.descriptor import Channel, Descriptor
+from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat, StreamEvent
 from protocol.signals import DRIVE_CHANNELS, AngleSource, RawType
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -162,23 +165,27 @@ class SyntheticRun:
         """Give everything to the sinks, with a heartbeat ten times a second and a few events."""
         next_beat = int(self.tick[0])
         for sink in sinks:
-            sink.event(1, DeviceEvent(int(self.tick[0]), EventCode.STATE_CHANGED, 1, float(DriveState.RUNNING)))
+            sink.take(
+                DeviceEventReceived(
+                    1, DeviceEvent(int(self.tick[0]), EventCode.STATE_CHANGED, 1, float(DriveState.RUNNING))
+                )
+            )
         for chunk in self.chunks(samples):
             for sink in sinks:
-                (sink.samples if isinstance(chunk, SampleChunk) else sink.edges)(chunk)
+                sink.take(chunk)
             while chunk.tick[-1] >= next_beat:
                 for sink in sinks:
-                    sink.heartbeat(1, heartbeat(next_beat))
+                    sink.take(HeartbeatReceived(1, heartbeat(next_beat)))
                 next_beat += TICK_HZ // 10
         for sink in sinks:
-            sink.note("all of it", "INFO")
+            sink.take(Note(int(self.tick[-1]), "all of it"))
 
 
 def recorded(path: Path, *chunks: SampleChunk | EdgeChunk, **changes) -> Path:
-    """A recording of these chunks, in a run with these changes."""
+    """A recording of these chunks, in a run with these changes, as they come through a client."""
     sink = RunSink(path, run_info(**changes), wait=True)
-    for chunk in chunks:
-        (sink.samples if isinstance(chunk, SampleChunk) else sink.edges)(chunk)
+    for chunk in map(Continuity().chunk, chunks):
+        sink.take(chunk)
     sink.close()
     return path
 

@@ -14,6 +14,7 @@ from bench.record.reader import Run
 from bench.record.sink import RunSink
 from bench.view import schema
 from bench.view.plots import plots
+from protocol.host import HeartbeatReceived
 from tests.tools import needs
 from tests.viewers import headless
 
@@ -97,8 +98,8 @@ def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ..
     made = synthetic.SyntheticRun(0.5, config=synthetic.config(channels))
     made.raw[:] = np.arange(len(made.index)) if foreign else made.raw
     for chunk in made.sample_chunks():
-        sink.samples(chunk)
-    sink.heartbeat(1, synthetic.heartbeat(int(made.tick[-1])))
+        sink.take(chunk)
+    sink.take(HeartbeatReceived(1, synthetic.heartbeat(int(made.tick[-1]))))
     sink.close()
     assert Run(path).samples.raw.tobytes() == made.raw.tobytes()
     found = components(path)

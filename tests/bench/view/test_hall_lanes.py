@@ -14,7 +14,6 @@ from bench.view import schema
 from bench.view.blocks import BlockBuilder
 from bench.view.log import RunLog
 from bench.view.sinks import new_stream
-from protocol.streams import SampleChunk
 
 SENSORS = {code: [f"{code >> bit & 1}" for bit in range(3)] for code in range(8)}
 WINDOW = 0.1  # s that the view shows
@@ -105,8 +104,8 @@ def test_a_viewer_that_draws_between_two_messages_finds_the_present_code(tmp_pat
     monkeypatch.setattr(stream, "send_record_batch", sent)
     log = RunLog(stream, synthetic.run_info(), live=True)
     for chunk in made.chunks():
-        (builder.samples if isinstance(chunk, SampleChunk) else builder.edges)(chunk, 0.0)
-        if (block := builder.take(0.0)) is not None:
+        builder.add(chunk, 0.0)
+        if (block := builder.close(0.0)) is not None:
             log.block(block)
     assert {schema.FAST, schema.HALL, schema.TREND, schema.GUIDE} <= newest.keys()
     assert max(behind) < 0.005

@@ -9,11 +9,14 @@ import numpy as np
 import synthetic
 from synthetic import column
 
+from bench.device.heard import Note
+from bench.record.info import SummaryText
 from bench.record.reader import Run
 from bench.record.sink import RunSink
 from bench.view import schema
 from bench.view.log import identity_text
 from protocol.descriptor import Channel
+from protocol.host import HeartbeatReceived
 from protocol.signals import Flag, RawType, Unit
 
 
@@ -21,7 +24,7 @@ def test_errors_stand_out_in_the_log_and_what_follows_does_not(tmp_path: Path) -
     levels = ["INFO", "CRITICAL", "INFO", "ERROR", "DEBUG", "WARN", "INFO"]
     sink = RunSink(tmp_path / "a.run", synthetic.run_info(), wait=True)
     for tick, level in enumerate(levels):
-        sink.note("OUTPUTS MAY STILL BE ON", level, tick * synthetic.TICK_HZ)
+        sink.take(Note(tick * synthetic.TICK_HZ, "OUTPUTS MAY STILL BE ON", level))
     sink.close()
     colours = [f"{row[0]:08x}" for _, row in column(tmp_path / "a.run", schema.NOTES, "TextLog:color")]
     assert len(colours) == len(levels)  # rerun keeps the last colour for a line that has none
@@ -34,8 +37,8 @@ def test_errors_stand_out_in_the_log_and_what_follows_does_not(tmp_path: Path) -
 
 def test_text_that_is_no_unicode_ends_no_recording(tmp_path: Path) -> None:
     sink = RunSink(tmp_path / "a.run", synthetic.run_info(identity={"target": "/dev/\udcff"}), wait=True)
-    sink.note("no /dev/\udcff\x1b[2J")
-    sink.summary("of /dev/\udcff")
+    sink.take(Note(0, "no /dev/\udcff\x1b[2J"))
+    sink.take(SummaryText("of /dev/\udcff"))
     sink.close()
     run = Run(tmp_path / "a.run")
     assert (run.notes[0][1], run.summary) == ("no /dev/\udcff\x1b[2J", "of /dev/\udcff")
@@ -57,9 +60,9 @@ def test_the_drives_lanes_are_those_that_it_can_fill(tmp_path: Path) -> None:
 def test_a_heartbeat_from_before_the_first_sample_tears_no_lane(tmp_path: Path) -> None:
     made = synthetic.SyntheticRun(0.3)
     sink = RunSink(tmp_path / "a.run", synthetic.run_info(), wait=True)
-    sink.heartbeat(1, synthetic.heartbeat(int(made.tick[0]) - synthetic.TICK_HZ))
+    sink.take(HeartbeatReceived(1, synthetic.heartbeat(int(made.tick[0]) - synthetic.TICK_HZ)))
     for chunk in made.sample_chunks():
-        sink.samples(chunk)
+        sink.take(chunk)
     sink.close()
     rows = column(tmp_path / "a.run", schema.DRIVE, "StateChange:state")
     first_sample = int(made.tick[0]) * 1_000_000_000 // synthetic.TICK_HZ

@@ -15,6 +15,8 @@ import synthetic
 from click.testing import CliRunner
 
 from bench.cli import cli
+from bench.device.heard import ParameterSet
+from bench.device.losses import Continuity
 from bench.errors import RecordingError
 from bench.record import folder, layout, sink, space
 from bench.record.extended import Extension
@@ -25,6 +27,7 @@ from bench.record.sink import RunSink
 from bench.record.writer import RunWriter
 from bench.signal.chunks import lost_stretches
 from protocol.descriptor import Channel
+from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import DeviceEvent, EventCode
 from protocol.signals import Flag, RawType, Unit
 from protocol.streams import Gap, SampleChunk, StreamConfig
@@ -51,8 +54,8 @@ def chunks(begin: float, end: float, offset: float = 0.0, config: StreamConfig =
 def fed(path: Path, parts: Iterable[SampleChunk], **options: object) -> RunSink:
     """A sink that was given these."""
     file = RunSink(path, synthetic.run_info(channels=CONFIG.channels), wait=True, **options)  # type: ignore[arg-type]
-    for chunk in parts:
-        file.samples(chunk)
+    for chunk in map(Continuity().chunk, parts):
+        file.take(chunk)
     return file
 
 
@@ -85,6 +88,7 @@ def test_a_ring_lets_go_of_what_is_old_and_led_to_nothing(seed: int) -> None:
     for number in range(120):
         if dice.random() < 0.1:
             boot = real
+            ring.restarted()
         begin, end = real, real + dice.uniform(20.0, 60.0)
         for _ in range(dice.choice([0, 0, 0, 0, 1, 3])):
             at = dice.uniform(begin, end)
@@ -103,15 +107,16 @@ def test_a_ring_lets_go_of_what_is_old_and_led_to_nothing(seed: int) -> None:
 def ring_run(path: Path, made: Callable[[RunWriter], None] | None = None) -> Path:
     """Twenty minutes in a ring of two: a fault at 400.5 s, a mark at 700 s, 30 s without samples from 900 s on."""
     writer = RunWriter(path, synthetic.run_info(channels=CONFIG.channels), keep=120.0)
+    continuity = Continuity()
     for chunk in chunks(0, 1200):
         at = round(chunk.index[0] / (100 * STEP))
         if 900 <= at < 930:
             continue
         if at == 400:
-            writer.event(1, DeviceEvent(round(400.5 * HZ), EventCode.FAULT, 1, 1.0))
+            writer.take(DeviceEventReceived(1, DeviceEvent(round(400.5 * HZ), EventCode.FAULT, 1, 1.0)))
         if at == 700:
-            writer.mark(Mark("here", 700 * HZ, 700 * HZ))
-        writer.samples(chunk)
+            writer.take(Mark("here", 700 * HZ, 700 * HZ))
+        writer.take(continuity.chunk(chunk))
     if made is None:
         writer.close()
     else:
@@ -198,11 +203,11 @@ def test_parts_join_without_a_seam(tmp_path: Path, made: synthetic.SyntheticRun)
     target = tmp_path / "a.run"
     file = RunSink(target, synthetic.run_info(), wait=True, stored=Stored(split=0.7))
     chunks = list(made.chunks())
-    file.heartbeat(1, synthetic.heartbeat(int(made.tick[0]), tx_dropped=5))
-    file.parameter(1, "speed_kp", 0.25)
-    file.heartbeat(1, synthetic.heartbeat(int(made.tick[160]), tx_dropped=8))
+    file.take(HeartbeatReceived(1, synthetic.heartbeat(int(made.tick[0]), tx_dropped=5)))
+    file.take(ParameterSet(int(made.tick[0]), 1, "speed_kp", 0.25))
+    file.take(HeartbeatReceived(1, synthetic.heartbeat(int(made.tick[160]), tx_dropped=8)))
     for chunk in chunks:
-        (file.samples if isinstance(chunk, SampleChunk) else file.edges)(chunk)
+        file.take(chunk)
     file.close()
     runs = [Run(part) for part in file.parts]
     assert [run.path.name for run in runs] == [f"a-{k:03d}.run" for k in range(1, len(runs) + 1)]
@@ -235,7 +240,7 @@ def test_parts_of_an_earlier_run_are_replaced_on_request_only(tmp_path: Path) ->
     for length in (20, 10):
         file = RunSink(tmp_path / "a.run", info, wait=True, overwrite=length == 10, stored=Stored(split=10))
         for chunk in chunks(0, length):
-            file.samples(chunk)
+            file.take(chunk)
         file.close()
         assert len(layout.parts_of(tmp_path / "a.run")) == length // 10
     with pytest.raises(RecordingError, match=r"a-001\.run exists: choose another name, or --overwrite"):
@@ -339,7 +344,7 @@ def test_a_disk_that_fills_is_told_in_time_and_the_run_ends_whole(tmp_path, monk
     told = []
     for left in (12.0, 11.0, 9.9, 9.0, 8.0, 1.9, 1.0, 0.5, -0.01):
         room[0] = space.RESERVE + round(left * a_minute)
-        file.samples(chunks(len(told), len(told) + 1)[0])
+        file.take(chunks(len(told), len(told) + 1)[0])
         wait_for(file, 100 * (len(told) + 1))
         told.append(left)
         deadline = time.monotonic() + 0.15

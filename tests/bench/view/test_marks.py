@@ -49,7 +49,7 @@ def marked(made: synthetic.SyntheticRun, tmp_path_factory: pytest.TempPathFactor
     sink = RunSink(path, synthetic.run_info(), wait=True)
     made.feed(sink)
     for name, first, last, verdict in MARKED:
-        sink.mark(name, tick(first), tick(last), verdict)
+        sink.take(Mark(name, tick(first), tick(last), verdict))
     sink.close()
     return path
 
@@ -89,10 +89,12 @@ def test_the_lane_shows_the_worst_of_marks_that_overlap(marked: Path) -> None:
 
 def test_marks_may_be_set_from_several_threads_while_samples_come(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
     sink = RunSink(tmp_path / "a.run", synthetic.run_info(), wait=True)
-    setters = [
-        threading.Thread(target=lambda n=n: [sink.mark(f"{n}.{k}", tick(0), tick(1), Verdict.PASS) for k in range(50)])
-        for n in range(4)
-    ]
+
+    def mark(n: int) -> None:
+        for k in range(50):
+            sink.take(Mark(f"{n}.{k}", tick(0), tick(1), Verdict.PASS))
+
+    setters = [threading.Thread(target=mark, args=(n,)) for n in range(4)]
     for setter in setters:
         setter.start()
     made.feed(sink)
@@ -107,7 +109,7 @@ def test_marks_may_be_set_from_several_threads_while_samples_come(tmp_path: Path
 def test_a_mark_that_ends_before_it_begins_is_refused(tmp_path: Path) -> None:
     sink = RunSink(tmp_path / "a.run", synthetic.run_info(), wait=True)
     with pytest.raises(ValueError, match="mark x: it ends at tick 3, before its first, 4"):
-        sink.mark("x", 4, 3, Verdict.FAIL)
+        sink.take(Mark("x", 4, 3, Verdict.FAIL))
     sink.close()
     assert Run(tmp_path / "a.run").marks == ()
 

@@ -21,6 +21,7 @@ from bench.record.writer import RunWriter
 from bench.rig.outputs import Outputs
 from bench.view import schema
 from protocol.descriptor import Descriptor
+from protocol.host import HeartbeatReceived
 from protocol.messages import DeviceEvent, EventCode, StreamEvent
 from protocol.signals import LOAD_CHANNELS, RawType
 from protocol.streams import Gap, SampleChunk, StreamConfig
@@ -144,7 +145,7 @@ def test_streams_of_two_nodes_and_of_fewer_channels_are_kept_apart(tmp_path: Pat
 
 def test_a_run_without_samples_is_a_run(tmp_path: Path) -> None:
     sink = RunSink(tmp_path / "a.run", synthetic.run_info())
-    sink.heartbeat(1, synthetic.heartbeat(77))
+    sink.take(HeartbeatReceived(1, synthetic.heartbeat(77)))
     sink.close()
     run = Run(tmp_path / "a.run")
     assert run.streams == run.edge_streams == {}
@@ -193,7 +194,7 @@ def test_a_journal_cut_short_reads_up_to_the_cut(made: synthetic.SyntheticRun, t
     """As kill -9 leaves it, at any byte."""
     writer = RunWriter(tmp_path / "a.run", synthetic.run_info())
     for chunk in made.chunks():
-        (writer.samples if isinstance(chunk, SampleChunk) else writer.edges)(chunk)
+        writer.take(chunk)
     journal = tmp_path / "a.run" / layout.journal_name(1)
     os.truncate(journal, int(journal.stat().st_size * share))
     run = Run(tmp_path / "a.run")
@@ -234,7 +235,7 @@ def test_segments_and_row_groups_join_without_a_seam(tmp_path: Path) -> None:
     writer = RunWriter(tmp_path / "a.run", synthetic.run_info(channels=config.channels))
     for k in range(0, len(index), 8000):
         part = slice(k, k + 8000)
-        writer.samples(SampleChunk(config, index[part], index[part] * synthetic.TICKS, raw[part], ()))
+        writer.take(SampleChunk(config, index[part], index[part] * synthetic.TICKS, raw[part], ()))
     for _ in range(2):
         run = Run(tmp_path / "a.run")
         assert run.samples.raw.tobytes() == raw.tobytes()

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import synthetic
 
+from bench.device.heard import Note
 from bench.errors import RecordingError
 from bench.record import sink, writer
 from bench.record.reader import Run
@@ -117,7 +118,7 @@ def test_a_view_that_holds_still_is_drawn_again_where_it_stands(tmp_path, made: 
     live = LiveSink(run, 0, hold=True, now=lambda: clock["now"])
     made.feed(live)
     clock["now"] = 1000.0  # what is held back on purpose is not late
-    live.note("later")
+    live.take(Note(0, "later"))
     live._pass_on(0.0, everything=True)
     assert touched.wait(10)
     assert live.close()
@@ -135,7 +136,7 @@ def test_latency_is_by_the_clock_that_holds_as_samples_come(tmp_path: Path, made
     clocks = (None, chunks[1].tick[0] / synthetic.TICK_HZ - 49.9, None)
     for chunk, offset in zip(chunks, clocks, strict=True):
         file.host_time = lambda tick, offset=offset: None if offset is None else tick / synthetic.TICK_HZ - offset
-        file.samples(chunk)
+        file.take(chunk)
     file.close()
     assert file.latency.n == 96
     assert 0.1 <= file.latency.at(100) <= 0.103

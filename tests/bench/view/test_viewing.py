@@ -20,6 +20,7 @@ from bench.record.times import ticks_of
 from bench.record.writer import RunWriter
 from bench.view import schema
 from bench.view.viewing import LOT_BROWSER, write_rrd
+from protocol.host import DeviceEventReceived
 from protocol.messages import DeviceEvent, EventCode
 from protocol.streams import Gap, SampleChunk
 from tests.viewers import any_port
@@ -41,8 +42,8 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
     for k in range(0, len(index), 1600):
         part = slice(k + (160 if k == 16_000 else 0), k + 1600)
         gaps = (Gap(0, 160, 2, False),) if k == 16_000 else ()
-        writer.samples(SampleChunk(CONFIG, index[part], index[part] * synthetic.TICKS, raw[part], gaps))
-    writer.event(1, DeviceEvent(round(FAULT * synthetic.TICK_HZ), EventCode.FAULT, 1, 1.0))
+        writer.take(SampleChunk(CONFIG, index[part], index[part] * synthetic.TICKS, raw[part], gaps))
+    writer.take(DeviceEventReceived(1, DeviceEvent(round(FAULT * synthetic.TICK_HZ), EventCode.FAULT, 1, 1.0)))
     writer.close()
     return path, raw["i_a"].astype(np.int64)
 

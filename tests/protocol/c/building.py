@@ -13,7 +13,7 @@ HERE = Path(__file__).parent
 STRICT = (
     "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wcast-align", "-Wshadow", "-Werror",
 )  # fmt: skip
-SANITIZED = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SANITIZED = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wall", "-Wextra", "-Werror")
 SMALL = {
     "RX_MAX": 128, "TX_MAX": 128, "TX_BYTES": 512, "CHANNELS": 5, "POOLS": 1, "POOL_BYTES": 264, "EDGES": 1,
     "CAN_MESSAGES": 64, "CAN_STREAMED": 16, "CAN_TRANSFERS": 2,

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import pytest
-from building import HERE, LARGE, SMALL, SOURCE, STRICT, compiler, options, run
+from building import LARGE, SMALL, SOURCE, STRICT, compiler, options, run
+
+from tests.choice import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -17,9 +20,10 @@ def compile_all(folder: Path, name: str, *flags: str) -> None:
         run(compiler(name, *flags), *flags, *STRICT, "-c", SOURCE / file, "-o", folder / "x.o")
 
 
-@pytest.mark.parametrize("bits", ["-m32", "-m64"])
-@pytest.mark.parametrize("standard", ["c99", "c11"])
-@pytest.mark.parametrize("name", ["gcc", "clang"])
+@pytest.mark.parametrize(
+    ("name", "standard", "bits"),
+    sampled("compiler", product(("gcc", "clang"), ("c99", "c11"), ("-m32", "-m64")), 2, campaign="c"),
+)
 def test_compiles_without_a_warning(tmp_path: Path, name: str, standard: str, bits: str) -> None:
     compile_all(tmp_path, name, f"-std={standard}", bits, "-O1")
 
@@ -57,9 +61,3 @@ def test_the_posix_example_compiles_without_a_warning(tmp_path: Path) -> None:
     for name in ("gcc", "clang"):
         main = SOURCE / "examples" / "posix.c"
         run(compiler(name), "-std=c99", "-O1", *STRICT, "-c", main, "-o", tmp_path / "x.o")
-
-
-def test_the_harness_itself_compiles_without_a_warning(tmp_path: Path) -> None:
-    for file in ("fuzz.c", "replay.c", "interrupts.c"):
-        strict = ("-std=c99", "-O1", "-Wall", "-Wextra", "-Werror")
-        run(compiler("gcc"), *strict, "-c", HERE / file, "-o", tmp_path / "x.o")

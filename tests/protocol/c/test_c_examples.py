@@ -103,18 +103,16 @@ def test_a_drive_is_known_turns_loses_nothing_and_stops(start: Callable[..., Pro
     assert node["identity"]["features"] == ["edges", "simulated"]
     assert [channel["name"] for channel in node["channels"]][:4] == ["hall", "status", "theta_enc", "omega_enc"]
     assert node["health"]["state"] == "IDLE"
-    told(start("live", target, *SETTLED, "--duration", "0.5"))
     for _ in range(3):  # in real time, whoever takes the machine for long makes a drive drop samples, or trip
-        program = start("live", target, "--speed", "300", "--duration", "4", "--clear-faults", *SETTLED)
-        if program.end() == 0:
-            run_ = told(program)
-            if not any(run_["lost"].values()):
-                break
+        program = start("live", target, "--speed", "300", "--duration", "2", "--clear-faults", *SETTLED)
+        if program.end() == 0 and not any(told(program)["lost"].values()):
+            break
+    run_ = told(program)
     assert run_["result"] == "ok"
     assert not any(run_["lost"].values())
     rate = node["identity"]["pwm_hz"]
-    assert run_["samples"] >= 3.9 * rate
-    assert 4 * 60 < run_["edges"] < 5 * 130  # 300 r/min, 4 pole pairs: 120 edges/s once it turns
+    assert run_["samples"] >= 1.9 * rate
+    assert 2 * 60 < run_["edges"] < 3 * 130  # 300 r/min, 4 pole pairs: 120 edges/s once it turns
     assert not any(run_["link"][count] for count in ("damaged", "reboots", "out_of_order", "late"))
     after = health(start, target)
     assert (after["state"], after["outputs_on"], after["faults"]) == ("IDLE", False, [])
@@ -129,7 +127,7 @@ def test_the_watchdog_turns_off_what_a_killed_host_left(start: Callable[..., Pro
     assert (left["state"], left["outputs_on"], left["faults"]) == ("FAULT", False, ["WATCHDOG"])
 
 
-@pytest.mark.slow
+@pytest.mark.campaign("c")
 def test_its_hall_sensors_are_healthy(start: Callable[..., Program], on_a_pty: Path) -> None:
     with subprocess.Popen([on_a_pty], stdout=subprocess.PIPE, text=True, preexec_fn=ends_with_this) as drive:
         assert drive.stdout is not None

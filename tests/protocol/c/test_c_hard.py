@@ -16,11 +16,10 @@ VECTORS = {file.stem: json.loads(file.read_text()) for file in (ROOT / "protocol
 AS_IN_VECTORS = {
     "RX_MAX": 1024, "TX_MAX": 1024, "TX_BYTES": 8192, "POOL_BYTES": 4096, "CAN_BYTES": 64, "CAN_MESSAGES": 512,
 }  # fmt: skip
-DAMAGED = ("aborted", "bad_crc", "bad_length")
 MANY_CHANNELS = {"HOSTS": 2, "CHANNELS": 60}
 SHAPES = [
-    pytest.param("gcc", MANY_CHANNELS, "byte", 40_000, id="gcc, byte link"),
-    pytest.param("gcc", MANY_CHANNELS, "can", 60_000, id="gcc, CAN"),
+    pytest.param("gcc", MANY_CHANNELS, "byte", 20_000, id="gcc, byte link"),
+    pytest.param("gcc", MANY_CHANNELS, "can", 20_000, id="gcc, CAN"),
     pytest.param("gcc", MANY_CHANNELS, "byte", 300_000, id="gcc, byte link, long", marks=pytest.mark.campaign("c")),
     pytest.param("gcc", MANY_CHANNELS, "can", 500_000, id="gcc, CAN, long", marks=pytest.mark.campaign("c")),
     pytest.param("clang", SMALL, "byte", 100_000, id="clang, byte link, small", marks=pytest.mark.campaign("c")),
@@ -81,21 +80,6 @@ def test_vectors_do_no_harm(replay: Callable[[list[str]], list[list[str]]]) -> N
         assert int(told[k][0], 16) == (case["verdict"] not in ("ok", "nothing")), case["name"]
 
 
-def test_can_message_vectors_to_a_device(replay: Callable[[list[str]], list[list[str]]]) -> None:
-    """Transfers of vectors/can_messages.json are damaged for a device as for a host."""
-    lines, looked = [], []
-    for case in VECTORS["can_messages"]:
-        if case["host"] or any(number & 0x7FF != 0x310 for number, _ in case["frames"]):
-            continue
-        lines.append(f"bus {case['fd']:x} {case['extended']:x}")
-        lines += [f"can {number & ~0x700 | 0x200 | (number & 0x80000000):x} {data}" for number, data in case["frames"]]
-        looked.append((len(lines) - 1, case))
-    told = replay(lines)
-    assert len(looked) > 30
-    for k, case in looked:
-        assert int(told[k][0], 16) == sum(case["counts"].get(kind, 0) for kind in DAMAGED), case["name"]
-
-
 # -- whatever comes ---------------------------------------------------------------------------------------------------
 
 
@@ -108,7 +92,7 @@ def test_any_frames(built: Callable[..., Path], name: str, values: dict[str, int
 def test_frames_for_a_32_bit_core(built: Callable[..., Path]) -> None:
     program = built("gcc", "fuzz.c", "-m32", "-O2")
     for link in ("byte", "can"):
-        run(program, link, "20000", "2")
+        run(program, link, "10000", "2")
 
 
 @pytest.mark.campaign("c")
@@ -124,7 +108,7 @@ def test_a_fuzzer_that_looks_for_new_paths(built: Callable[..., Path], tmp_path:
 
 @pytest.fixture
 def interrupts(built: Callable[..., Path]) -> Path:
-    return built("gcc", "interrupts.c", "-O2", "-g", "-DHBP_CHANNELS=8", can=False)
+    return built("gcc", "interrupts.c", "-O2", "-Wall", "-Wextra", "-Werror", "-g", "-DHBP_CHANNELS=8", can=False)
 
 
 @pytest.mark.parametrize("steps", ["60000", pytest.param("300000", marks=pytest.mark.campaign("c"))])
@@ -135,7 +119,7 @@ def test_an_interrupt_between_any_two_instructions(interrupts: Path, steps: str)
 
 @pytest.mark.real_time
 def test_a_timer_interrupts(interrupts: Path) -> None:
-    said = run(interrupts, "timer", "2", "1")
+    said = run(interrupts, "timer", "1", "1")
     assert re.match(r"[1-9]\d* sessions", said)
 
 

@@ -111,29 +111,24 @@ def test_overcurrent_opens_the_outputs_in_the_same_period():
     assert states(bench.advance(100))[-1] == DriveState.RUNNING
 
 
-def test_overspeed_trips_by_the_hall_sensors_where_there_is_no_encoder():
-    bench = spinning(90.0, 0.5, **{"encoder.present": 0, "firmware.protection.omega_m_trip": 200.0})
+@pytest.mark.parametrize(
+    ("limits", "fine", "beyond"),
+    [
+        ({"firmware.protection.omega_m_trip": 200.0}, 180.0, 240.0),
+        # below omega_m_trip, but the Hall sensors show 225 rad/s at most
+        ({"firmware.protection.omega_m_trip": 400.0, "firmware.omega_m_max": 150.0}, 200.0, 340.0),
+    ],
+)
+def test_overspeed_trips_by_the_hall_sensors_where_there_is_no_encoder(limits, fine, beyond):
+    bench = spinning(90.0, 0.5, **{"encoder.present": 0}, **limits)
     bench.set_load_param("hall_glitch", 150.0)  # one false edge makes any speed
     assert np.abs(bench.advance(48000).samples["omega_avg"] * 0.125).max() > 200.0 * 6
     assert bench.faults == 0
     bench.set_load_param("hall_glitch", 0.0)
-    bench.load(SetpointMode.SPEED, 180.0)
-    bench.advance(4000)
-    assert bench.faults == 0
-    bench.load_setpoint(SetpointMode.SPEED, 240.0)
-    bench.advance(1600)
-    assert bench.faults == Fault.OVERSPEED
-
-
-def test_without_an_encoder_no_speed_trips_that_the_hall_sensors_cannot_show():
-    limits = {"firmware.omega_m_max": 150.0, "firmware.protection.omega_m_trip": 400.0}
-    bench = spinning(90.0, 0.5, **{"encoder.present": 0}, **limits)
-    bench.load(SetpointMode.SPEED, 200.0)
-    bench.advance(4000)
-    assert bench.faults == 0
-    bench.load_setpoint(SetpointMode.SPEED, 340.0)  # below omega_m_trip, but the Hall sensors show 225 rad/s at most
-    bench.advance(4000)
-    assert bench.faults == Fault.OVERSPEED
+    for speed, fault in ((fine, 0), (beyond, Fault.OVERSPEED)):
+        bench.load(SetpointMode.SPEED, speed)
+        bench.advance(4000)
+        assert bench.faults == fault
 
 
 def test_every_edge_of_the_fastest_shaft_finds_room():

@@ -97,9 +97,8 @@ def test_listen_only_hears(classic: Host) -> None:
     classic.must_see(b"\r\at0070\r")
 
 
-@pytest.mark.parametrize("code", ["S0", "S6", "S7", "s0114", "s411C"])
-def test_another_bit_rate_loses_frames_both_ways(classic: Host, code: str) -> None:
-    assert classic.types(code.encode() + b"\rO\rt1230\rt1240\r") == b""
+def test_another_bit_rate_loses_frames_both_ways(classic: Host) -> None:
+    assert classic.types(b"S6\rO\rt1230\rt1240\r") == b""
     assert classic.port.write(frame(1) * 3) == 240
     classic.must_see(b"\r\rz\rz\r")
     assert classic.port.mismatched == 5

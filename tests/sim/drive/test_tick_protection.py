@@ -161,16 +161,6 @@ def test_exchanged_wires_on_a_shaft_turned_from_outside_trip_within_a_second(obs
     assert bench.faults == Fault.HALL
 
 
-def test_skipped_sectors_alone_trip():
-    bench = Rig(1, **{"mechanics.theta_0_deg": 30.0})  # code 1; 2 with a and b exchanged
-    bench.enter_state(DriveState.ARMED)
-    for k in range(1, 51):
-        bench.set_load_param("hall_swap", k % 2)
-        recorded = bench.advance(10)
-        assert set(recorded.samples["hall"]) <= {1, 2}
-        assert bool(bench.faults) == (k > 41)  # 40, and one more for what is forgotten meanwhile
-
-
 def watched(bench, periods):
     """Advance in pieces; the greatest doubt and angle against the Hall sensors."""
     doubt, opposed = 0.0, 0.0

@@ -56,58 +56,23 @@ def test_nothing_is_learned_of_edges_while_the_speed_changes_much():
     assert set(state.places.visits) == {0.0}
 
 
-def solved(turns):
-    """The common places and what goes with them, by least squares with the same errors and priors."""
-    rows, y, weights = [], [], []
-    for omega, i_q, angle in turns:
-        x = i_q / SCALE.i
-        dark = 1.0 / ((1.0 + 100.0 * x * x) * (1.0 + (omega / SCALE.omega_b) ** 2))
-        volts = (el.EMF_V + el.EMF_DARK * dark) * SCALE.v / (SCALE.psi_f * omega)
-        sigma = np.hypot(volts, el.EMF_A + el.EMF_LOW / (1.0 + 64.0 * x * x))
-        sigma *= np.sqrt(max(1.0, el.APART * omega / (2.0 * np.pi)))
-        rows.append([1.0, 0.0, i_q, x * x * i_q, omega])
-        y.append(angle)
-        weights.append(1.0 / sigma)
-    priors = [6 * DEG, 6 * DEG, el.C_1 / SCALE.i, el.C_3 / SCALE.i, el.LATE]
-    rows = np.vstack([np.array(rows) * np.array(weights)[:, None], np.diag(1.0 / np.array(priors))])
-    return np.linalg.lstsq(rows, np.concatenate([np.array(y) * weights, np.zeros(5)]), rcond=None)[0]
+def test_the_common_place_is_told_from_load_and_speed():
+    """Turns at any load and speed; each edge's place is known, so that the mean of all counts."""
 
+    def angle(i_q, omega):
+        return 2.0 * DEG + 0.004 * i_q - 0.002 * i_q**3 / 64.0 + 6e-6 * omega
 
-def common_of(turns):
-    """The same by turns, one after the other; each edge's place is known, so that the mean of all counts."""
-    state = el.start(SCALE, UNKNOWN, 0.01)
-    for omega, i_q, angle in turns:
-        state = lessons(omega, places_deg=np.zeros(6), before=state)
-        place = np.mean(state.places.actual[:6])
-        late = state.common[4] * omega
-        state = el.turn(state, sums(omega, i_q, angle - place, off=6.0 * late), SCALE, 1, 0)
-    return np.array(state.common), state
-
-
-def test_the_common_place_is_told_from_load_and_speed_as_by_least_squares():
     rng = np.random.default_rng(1)
-    turns = []
+    state = el.start(SCALE, UNKNOWN, 0.01)
     for _ in range(60):
         omega, i_q = rng.uniform(200, 1800), rng.uniform(0.5, 8.0)
-        angle = 2.0 * DEG + 0.004 * i_q - 0.002 * i_q**3 / 64.0 + 6e-6 * omega
-        turns.append((omega, i_q, angle))
-    found, wanted = common_of(turns)[0], solved(turns)
-    for i_q in (0.5, 4.0, 8.0):  # it leaves out what would tell it little more
-        h = np.array([1.0, 0.0, i_q, i_q**3 / 64.0, 600.0])
-        assert np.degrees(h @ found) == pytest.approx(np.degrees(h @ wanted), abs=0.3)
-    assert np.degrees(found[0]) == pytest.approx(2.0, abs=0.7)
-
-
-def test_one_speed_and_one_load_leave_unsure_what_they_do_not_tell_apart():
-    """The place together with the load is found; each of the two is left as unsure as it was, but for their sum."""
-    _, before = common_of([(600.0, 4.0, 3.0 * DEG)] * 5)
-    often, after = common_of([(600.0, 4.0, 3.0 * DEG)] * 400)
-    for state in (before, after):
-        assert np.sqrt(state.common_P[9]) > 0.5 * el.C_1 / SCALE.i
-    assert often[0] + 4.0 * (often[2] + often[3] / 4.0) + 600.0 * often[4] == pytest.approx(3.0 * DEG, abs=0.05 * DEG)
-    assert abs(often[2]) < el.C_1 / SCALE.i
-    other, _ = common_of([(600.0, 4.0, 3.0 * DEG)] * 400 + [(600.0, 1.0, 0.0)] * 40)
-    assert other[2] != pytest.approx(often[2], rel=0.2)  # another load tells
+        state = lessons(omega, places_deg=np.zeros(6), before=state)
+        seen = angle(i_q, omega) - np.mean(state.places.actual[:6])
+        state = el.turn(state, sums(omega, i_q, seen, off=6.0 * state.common[4] * omega), SCALE, 1, 0)
+    for i_q in (0.5, 4.0, 8.0):
+        found = np.dot(state.common, [1.0, 0.0, i_q, i_q**3 / 64.0, 600.0])
+        assert np.degrees(found) == pytest.approx(np.degrees(angle(i_q, 600.0)), abs=0.5)
+    assert np.degrees(state.common[0]) == pytest.approx(2.0, abs=0.7)
 
 
 def test_the_drop_along_the_current_is_told_from_the_flux_as_by_least_squares():

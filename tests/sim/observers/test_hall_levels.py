@@ -54,31 +54,22 @@ def test_the_next_boundary_is_of_a_sensor_that_is_believed():
     assert [hl.following(two, 0, 1), hl.following(two, 3, 1)] == [3, 0]
 
 
-@pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize("sensor", range(3))
-def test_a_sensor_that_moved_is_found_after_six_edges(sensor, side):
+@pytest.mark.parametrize(
+    ("sides", "sensors"),
+    [
+        *(([side * (k == sensor) for k in range(3)], 8 << sensor) for sensor in range(3) for side in (1, -1)),
+        pytest.param((1, 1, 1), 0, id="all alike: that is the back-EMF"),
+        pytest.param((0, None, 0), 0, id="now one side, now the other"),
+    ],
+)
+def test_a_sensor_that_moved_is_found_after_six_edges_to_one_side(sides, sensors):
     belief = zeroed(hl.Belief)
     for k in range(6):
-        for other in set(range(3)) - {sensor}:
-            belief, _ = hl.off_to(belief, other, 0)
-        belief, moved = hl.off_to(belief, sensor, side)
-        assert moved == (k == 5)
-    assert belief.sensors == 8 << sensor
-
-
-def test_all_off_alike_is_the_back_emf_and_no_sensor():
-    belief = zeroed(hl.Belief)
-    for _ in range(20):
-        for sensor in range(3):
-            belief, moved = hl.off_to(belief, sensor, 1)
-            assert not moved
-
-
-def test_now_one_side_now_the_other_is_no_move():
-    belief = zeroed(hl.Belief)
-    for k in range(20):
-        belief, moved = hl.off_to(belief, 1, 1 if k % 2 else -1)
-        assert not moved
+        assert belief.sensors == 0
+        for sensor, side in enumerate(sides):
+            belief, moved = hl.off_to(belief, sensor, (-1) ** k if side is None else side)
+            assert moved == (k == 5 and side not in (0, None) and sensors != 0)
+    assert belief.sensors == sensors
 
 
 def test_unprimed_levels_agree_with_the_codes_of_the_specification():

@@ -152,8 +152,8 @@ def test_the_first_sample_gives_the_sector_unless_its_code_is_illegal():
     tick = np.arange(3, dtype=np.int64) * TICKS
     none = np.array([], np.int64)
     hall = np.array([7, 0, CODES[4]], np.uint8)
-    _, out = front(tick, hall, none, none.astype(np.uint8))
-    assert list(out.sector) == [-1, -1, 4]
+    state, out = front(tick, hall, none, none.astype(np.uint8))
+    assert (list(out.sector), state.illegal) == ([-1, -1, 4], 2)
 
 
 @pytest.mark.parametrize("way", [1, -1])

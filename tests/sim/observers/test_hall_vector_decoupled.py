@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from ideal_motor import IDEAL_EDGES, PAPER_EDGES, T_S, constant, error_deg, estimate, rpm, signals
-from test_hall_vector import W, component, loop
+from ideal_motor import T_S, constant, error_deg, estimate, rpm, signals
+from test_hall_vector import component, loop
 
 from sim.observers import hall_vector, hall_vector_decoupled
 
@@ -23,15 +23,3 @@ def test_the_ripple_of_ideal_sensors_is_gone(speed):
     a_period = np.degrees(abs(rpm(speed))) * T_S
     assert abs(settled(s, out).mean()) < 0.02 + 0.2 * a_period
     assert 4 < settled(s, plain).std() / settled(s, out).std() < 10
-
-
-def test_nothing_is_subtracted_at_a_speed_within_the_bandwidth():
-    """There the subtraction would throw it out of lock: it is the plain observer, bit for bit."""
-    for edges_deg in (IDEAL_EDGES, PAPER_EDGES):
-        slow = signals(constant(0.8 * W), 1.0, edges_deg=edges_deg)
-        assert np.array_equal(estimate(hall_vector, slow).theta, estimate(hall_vector_decoupled, slow).theta)
-        fast = signals(constant(1.3 * W), 1.0, edges_deg=edges_deg)
-        assert (
-            settled(fast, estimate(hall_vector_decoupled, fast)).std()
-            < 0.75 * settled(fast, estimate(hall_vector, fast)).std()
-        )

@@ -21,13 +21,13 @@ from ideal_motor import (
     signals,
     turning_back,
 )
-from test_kernels import busy, resets
+from test_kernels import busy
 
 from sim.native import value
 from sim.observers import vector_tracking
 from sim.observers import vector_tracking_q15 as q15
 from sim.observers.sample import Sample
-from tests.choice import examples, sampled
+from tests.choice import examples
 from tests.tools import needs
 
 pytestmark = pytest.mark.slow
@@ -60,26 +60,6 @@ def outputs_off(seconds, i_q):
     return s._replace(u_alpha=np.where(off, 0.0, s.u_alpha), u_beta=np.where(off, 0.0, s.u_beta))
 
 
-def recording(name):
-    """Rows of integers of a drive's typical hours."""
-    if name == "busy":  # standstill, start, reversal, stop, glitches, lost edges, gaps
-        s = busy()
-    elif name == "start":
-        s = signals(lambda t: 0.2 + 3500 * np.maximum(t - 0.01, 0) ** 2, 0.1, i_q=6.0, fine=10, noise=0.02)
-    elif name == "outputs off":
-        s = outputs_off(0.2, 0.0)
-    else:
-        s = signals(constant(rpm(float(name))), 0.2, edges_deg=PAPER_EDGES, noise=0.02)
-    s = quantised(s)
-    reset = resets(s.tick.size) & (name == "busy")
-    seen = samples(s, reset)
-    window = range(2000, 5400) if name == "busy" else range(len(reset))
-    return np.array([[reset[k], *q15.counts(PARAMS, value(Sample, seen[k]))] for k in window], np.int64)
-
-
-RECORDINGS = ("busy", "start", "outputs off", "50", "-500", "3000")
-
-
 # --- the C file ---
 
 needs_compiler = needs("gcc", f"gcc {q15_harness.CHECKED[1]}")
@@ -97,13 +77,6 @@ def agreed(program, constants, rows, state):
     mine = traced(constants, state, rows)
     assert np.array_equal(mine, q15_harness.trace(program, constants, state, rows))
     return mine
-
-
-@needs_compiler
-@pytest.mark.parametrize("name", sampled("recordings", RECORDINGS, 2, campaign="c"))
-def test_c_and_kernel_agree_in_every_integer(program, name):
-    mine = agreed(program, PARAMS.q, recording(name), q15.init())
-    assert mine[:, q15.State._fields.index("on")].any()
 
 
 INT16 = (1 << 15) - 1

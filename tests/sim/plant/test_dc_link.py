@@ -78,7 +78,7 @@ def test_a_braking_motor_pumps_the_link_up_until_it_trips_unless_something_takes
     assert (stopping["u_dc"].max() > rig.params.firmware.protection.u_dc_max) == bool(trips)
 
 
-def test_a_weak_source_sags_under_load_by_its_resistance_and_trips():
+def test_a_weak_source_sags_under_load_by_its_resistance():
     rig = Rig(0, **{"dc_link.R_source": 0.5})
     rig.start()
     run = rig.spin(2000.0, 1.5, 0.25)
@@ -89,9 +89,3 @@ def test_a_weak_source_sags_under_load_by_its_resistance_and_trips():
     u = np.mean(run["u_dc"][tail])
     supplied = u * (24.0 - u) / 0.5
     assert supplied == pytest.approx(shaft + copper, rel=0.02)
-    weak = Rig(0, **{"dc_link.R_source": 2.5})
-    weak.start()
-    weak.spin(2000.0, 1.5)
-    assert weak.faults == Fault(0)
-    weak.spin(2000.0, 1.0, 0.3)  # more than it can give: (24 V)^2 / 4 / 2.5 ohm
-    assert weak.faults == Fault.UNDERVOLTAGE
