@@ -195,7 +195,7 @@ def hall(run: Source, begin: float | None = None, end: float | None = None) -> H
         begin, end: device time in s, both included; None: from its beginning, to its end.
 
     Returns:
-        `.outcome` is HEALTHY, FAULT or CANNOT_TELL; `.findings` name causes, with evidence and advice; `.missing` says
+        `.verdict` is PASS, FAIL or INVALID; `.findings` name causes, with evidence and advice; `.missing` says
         why no more can be said; `.measured.to_pandas()` is the table of the edges.
 
     Raises:

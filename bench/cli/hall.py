@@ -103,7 +103,7 @@ def check(source: str, json_file: Path | None, **given: Any) -> None:
     options = _options(source, given, {"--json": json_file})
     with Progress() as screen, _opened(options, screen) as found:
         health = _show(source, found, json_file, screen)
-    sys.exit(int(health.outcome))
+    sys.exit(health.exit_code)
 
 
 @command.command("learn")

@@ -38,12 +38,12 @@ def write(content: Content, paths: Mapping[str, Path]) -> None:
     """Write it to `paths`. Raises OSError."""
     from scipy.io import savemat
 
-    structs = _structs(content)
-    found: dict[str, Any] = {structs[table.name]: _struct(content, table) for table in content.tables}
-    units = {}
-    for table in content.tables:
+    found: dict[str, Any] = {}
+    units: dict[str, Any] = {}
+    for table, struct in zip(content.tables, _structs(content).values(), strict=True):
         names = _fields(table)
-        units[structs[table.name]] = {names[column.name]: column.unit for column in table.columns}
+        found[struct] = {names[name]: values for name, values in whole(content, table).items()}
+        units[struct] = {names[column.name]: column.unit for column in table.columns}
     found |= {"units": units, "about": json.dumps({**content.about(), "renamed": _renamed(content)})}
     with paths["all"].open("wb") as file:
         savemat(file, found, long_field_names=True, oned_as="column")
@@ -82,8 +82,3 @@ def _renamed(content: Content) -> dict[str, str]:
     structs = _structs(content)
     pairs = ((structs[table.name], old, new) for table in content.tables for old, new in _fields(table).items())
     return {f"{struct}.{new}": old for struct, old, new in pairs if new != old}
-
-
-def _struct(content: Content, table: Table) -> dict[str, Any]:
-    names = _fields(table)
-    return {names[name]: values for name, values in whole(content, table).items()}

@@ -12,39 +12,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 
-from bench.hall import causes, edges, pulses, reference
-from bench.hall.causes import Codes, Finding
-from bench.hall.edges import Measured
-from bench.hall.pulses import Pulses
-from bench.hall.reference import BackEmf, Turns
+from bench.findings import encoder, late, pole_pairs, sensors, wiring
+from bench.findings.finding import Finding
+from bench.findings.sensors import Codes
+from bench.findings.thresholds import LEAST_PASSAGES, LEAST_TURNS
+from bench.findings.wiring import AS_SPECIFIED, Diagnosis, diagnose
+from bench.rig.outcome import RunOutcome
+from bench.signal import hall_edges, pulses, reference
 from bench.signal.delays import AGREE, Delays, delays_of
+from bench.signal.hall_edges import Measured
+from bench.signal.pulses import Pulses
+from bench.signal.reference import BackEmf, Turns
 from bench.signal.trace import SLOW, Trace
-from bench.signal.waveforms.sectors import SECTORS
-from bench.signal.wiring import AS_SPECIFIED, Diagnosis, diagnose
-from protocol.signals import SECTOR_OF_CODE
-
-LEAST_TURNS = 2.0
-"""Electrical revolutions each way that a healthy verdict needs."""
-LEAST_PASSAGES = 5
-
-
-class Outcome(IntEnum):
-    """What a check found; the value is the exit code."""
-
-    HEALTHY = 0
-    FAULT = 1
-    CANNOT_TELL = 2
+from bench.signal.verdict import Verdict
+from bench.signal.waveforms.sectors import steps_between
 
 
 @dataclass(frozen=True)
 class Health:
     """The result of a check."""
 
-    outcome: Outcome
+    verdict: Verdict
+    """PASS: healthy. FAIL: something is wrong. INVALID: the data are insufficient for either."""
     findings: tuple[Finding, ...]
     missing: tuple[str, ...]
     """Why no more can be said, and what to do about it."""
@@ -56,55 +48,62 @@ class Health:
     delays: Delays
     wiring: Diagnosis | None
 
+    @property
+    def exit_code(self) -> int:
+        """Of the command: 0 healthy, 1 something is wrong, 2 the data are insufficient."""
+        return RunOutcome.of(self.verdict).exit_code
+
 
 def examine(trace: Trace, further: str = "") -> Health:
     """Name what is wrong. `further`: how to turn the shaft more if it turned too little, in words."""
-    turns, measured, found_pulses = reference.turns(trace), edges.measure(trace.edges), pulses.count(trace)
+    turns, measured, found_pulses = reference.turns(trace), hall_edges.measure(trace.edges), pulses.count(trace)
     codes = _codes(trace)
     findings: list[Finding] = []
     missing: list[str] = []
     emf: BackEmf | None = None
     delays = Delays(measured.delay if measured.delay_half_width < AGREE else math.nan, math.nan)
-    wiring: Diagnosis | None = None
+    diagnosis: Diagnosis | None = None
     if not turns.total >= LEAST_TURNS:
         missing.append(
             f"only {np.nan_to_num(turns.total):.1f} electrical revolutions: turn the shaft forward and reverse"
             + (f", {further}" if further else "")
         )
-    elif dead := list(causes.dead(trace, turns)):
+    elif dead := list(sensors.dead(trace, turns)):
         findings += dead
     elif not trace.encoder:
-        findings += causes.inverted_by_codes(trace)
+        findings += wiring.inverted_by_codes(trace.changed)
         missing.append(
             "no encoder was recorded: without one, exchanged wires and displaced sensors are not detected; "
             "record theta_enc, or fit an encoder for the check"
         )
-    elif pole_pairs := list(causes.pole_pairs(trace, turns)):
-        findings += pole_pairs
+    elif contradicting := list(pole_pairs.of_edges(trace.edges, turns)):
+        findings += contradicting
     else:
         emf = reference.back_emf(trace)
         delays = delays._replace(back_emf=delays_of(trace).back_emf)
-        findings += [*causes.encoder(emf), *causes.late(delays, _fastest(trace))]
+        findings += [*encoder.zero(emf), *late.late(delays, _fastest(trace))]
         # that of the rotor flux, where the back-EMF says that the encoder's is another
         some = trace.some
-        theta = emf.zero - some.theta if emf is not None and emf.reversed else some.theta - causes.ahead(emf)
+        theta = emf.zero - some.theta if emf is not None and emf.reversed else some.theta - encoder.ahead(emf)
         moving = np.abs(some.omega) >= SLOW
         try:
-            wiring = diagnose(theta[moving], some.hall[moving])
+            diagnosis = diagnose(theta[moving], some.hall[moving])
         except ValueError as error:
             missing.append(f"wiring unknown: {error}")
         else:
-            as_specified, forwards = wiring.best == AS_SPECIFIED, emf is None or not emf.reversed
+            as_specified, forwards = diagnosis.best == AS_SPECIFIED, emf is None or not emf.reversed
             found: list[Finding] = []
-            if forwards and (as_specified or causes.in_their_sectors(measured, emf)):
-                found = [*causes.places(measured, emf), *causes.implausible(codes, found_pulses)]
+            if forwards and (as_specified or sensors.in_their_sectors(measured, emf)):
+                found = [*sensors.places(measured, emf), *sensors.implausible(codes, found_pulses)]
             if not as_specified and not found:
-                found = list(causes.wires(trace, theta, wiring, measured, emf))
+                found = list(wiring.wires(trace, theta, diagnosis, measured, emf))
             findings += found
         missing += _thin(turns, measured)
-    findings += causes.false_pulses(found_pulses)
-    outcome = Outcome.FAULT if findings else Outcome.CANNOT_TELL if missing else Outcome.HEALTHY
-    return Health(outcome, tuple(findings), tuple(missing), turns, measured, found_pulses, codes, emf, delays, wiring)
+    findings += sensors.false_pulses(found_pulses)
+    verdict = Verdict.FAIL if findings else Verdict.INVALID if missing else Verdict.PASS
+    return Health(
+        verdict, tuple(findings), tuple(missing), turns, measured, found_pulses, codes, emf, delays, diagnosis
+    )
 
 
 def _fastest(trace: Trace) -> float:
@@ -114,17 +113,11 @@ def _fastest(trace: Trace) -> float:
 
 
 def _codes(trace: Trace) -> Codes:
-    sector = np.array(SECTOR_OF_CODE)
-    leaves, enters = sector[:, None], sector
-    illegal = (leaves < 0) | (enters < 0)
-    neighbours = np.isin((enters - leaves) % SECTORS, (1, SECTORS - 1))
-    return Codes(
-        int(trace.codes[[0, 7]].sum()),
-        trace.samples,
-        int(trace.changed[illegal].sum()),
-        int(trace.changed[~illegal & ~neighbours].sum()),
-        int(trace.changed.sum()),
-    )
+    illegal = np.zeros((8, 8), bool)
+    illegal[[0, 7]] = illegal[:, [0, 7]] = True
+    far = np.abs(steps_between(*np.indices((8, 8)))) != 1.0
+    lead_there, skipped, edges = (int(trace.changed[which].sum()) for which in (illegal, ~illegal & far, ...))
+    return Codes(int(trace.codes[[0, 7]].sum()), trace.samples, lead_there, skipped, edges)
 
 
 def _thin(turns: Turns, measured: Measured) -> list[str]:

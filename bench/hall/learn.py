@@ -18,22 +18,18 @@ import numpy as np
 from bench import files
 from bench.device.node import Node
 from bench.errors import BenchError, NodeError
-from bench.hall.health import Health, Outcome
+from bench.findings.thresholds import LEARN_MOTOR, LEARN_SD, LEARN_WITHIN
+from bench.hall.health import Health
 from bench.hall.lessons import Lessons
 from bench.rig.restore import not_put_back, put_back
+from bench.signal.verdict import Verdict
 from bench.signal.waveforms.sectors import SECTORS
 from protocol.errors import HbpError
 from protocol.signals import DRIVE_PARAMETERS
 from sim.observers.hall_edges import EDGES
 
-ENOUGH = math.radians(0.5)
-"""rad, the widest half of a 95 % confidence interval with which an edge is learnt: the hysteresis of good sensors."""
 ZERO = math.radians(0.5)
 """rad, to which the zero of an encoder is known, rms: it is in every edge that the encoder measures."""
-LEARNED = math.radians(2.0)
-"""rad, the largest standard deviation with which an edge is taken from a filter."""
-MOTOR = {"psi_f_hat": 0.02, "R_s_hat": 0.1, "L_s_hat": 0.2}
-"""What a filter learns of the motor, and the largest standard deviation with which it is taken, as a share."""
 NORMAL_95 = 1.96  # standard deviations to the half width of 95 %
 PARAMETERS = {record.name: record for record in DRIVE_PARAMETERS}
 
@@ -58,13 +54,13 @@ class Learnt:
 def learnt(health: Health) -> Learnt:
     """The edges of a healthy check. BenchError, with what to do, where they are not to be used."""
     require_no_fault(health)
-    if health.outcome is Outcome.CANNOT_TELL:
+    if health.verdict is Verdict.INVALID:
         raise BenchError(f"no edges learned: {health.missing[0]}")
-    widest = health.measured.widest()
-    if not widest <= ENOUGH:
+    widest, most = health.measured.widest(), math.degrees(LEARN_WITHIN)
+    if not widest <= LEARN_WITHIN:
         raise BenchError(
             f"no edges learned: the least certain is known to +-{math.degrees(widest):.2f} deg (95 %, "
-            f"{health.measured.least()} passages); +-{math.degrees(ENOUGH):g} deg are needed: turn the shaft longer"
+            f"{health.measured.least()} passages); +-{most:g} deg are needed: turn the shaft longer"
         )
     edges = health.measured.edges
     up, down = tuple(e.delta(e.up) for e in edges), tuple(e.delta(e.down) for e in edges)
@@ -73,7 +69,7 @@ def learnt(health: Health) -> Learnt:
 
 def require_no_fault(health: Health) -> None:
     """BenchError, with what to do, where a check found a fault."""
-    if health.outcome is Outcome.FAULT:
+    if health.verdict is Verdict.FAIL:
         more = f" (and {len(health.findings) - 1} more)" if len(health.findings) > 1 else ""
         first = health.findings[0]
         raise BenchError(f"no edges learned: {first.cause}{more}; {first.advice}; then learn again")
@@ -82,15 +78,15 @@ def require_no_fault(health: Health) -> None:
 def taught(lessons: Lessons, motor: bool) -> Learnt:
     """What a filter has learned; of the motor what it is sure of, if asked for. BenchError where it is not sure."""
     sd = max(lessons.of[name].sd for name in EDGES)
-    if not sd <= LEARNED:
+    if not sd <= LEARN_SD:
         raise BenchError(
             f"no edges learned: {lessons.whose} knows them to {math.degrees(sd):.1f} deg (standard deviation); "
-            f"{math.degrees(LEARNED):g} deg are needed: turn the shaft longer and faster, both directions, under load"
+            f"{math.degrees(LEARN_SD):g} deg are needed: turn the shaft longer and faster, both directions, under load"
         )
     edges = [lessons.of[name].value for name in EDGES]
     of_motor = {
         name: lessons.of[name].value
-        for name, share in MOTOR.items()
+        for name, share in LEARN_MOTOR.items()
         if motor and name in lessons.of and lessons.of[name].sd <= share * abs(lessons.of[name].value)
     }
     return _within(Learnt(tuple(edges[:6]), tuple(edges[6:]), sd, of_motor))

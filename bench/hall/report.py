@@ -8,15 +8,18 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from bench.hall.edges import Edge, Passages, largest
-from bench.hall.health import Health, Outcome
+from bench.findings.wiring import AS_SPECIFIED
+from bench.hall.health import Health
 from bench.hall.turning import Turned
 from bench.report.words import number
+from bench.signal.hall_edges import Edge, Passages, largest
 from bench.signal.trace import INPUTS, Trace
+from bench.signal.verdict import Verdict
 from bench.signal.waveforms.sectors import NUMERALS, SECTORS
-from bench.signal.wiring import AS_SPECIFIED
 
 WIDTH = 79
+OUTCOMES = {Verdict.PASS: "healthy", Verdict.FAIL: "fault", Verdict.INVALID: "cannot_tell"}
+"""Words of JSON."""
 EDGE_HEADERS = ("edge", "forward", "reverse", "+-95 %", "passed", "hyst.", "jitter", "width")
 SENSOR_HEADERS = ("sensor", "duty, %", "false pulses", "1/s")
 CURRENT_HEADERS = ("current, A", "false pulses", "1/s")
@@ -109,7 +112,7 @@ def verdict_lines(health: Health, remarks: Sequence[str]) -> list[str]:
         lines += _wrapped("inconclusive: ", missing)
     if health.wiring is not None and not health.findings:
         lines += _wrapped(
-            "HEALTHY: " if health.outcome is Outcome.HEALTHY else "so far: ",
+            "HEALTHY: " if health.verdict is Verdict.PASS else "so far: ",
             f"wired as specified, which explains {100.0 * health.wiring.share:.1f} % of {health.wiring.n} samples; "
             f"next best: {health.wiring.runner_up}, {100.0 * health.wiring.runner_up_share:.1f} %",
         )
@@ -121,8 +124,8 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
     measured, turns, emf, wiring, found = health.measured, health.turns, health.emf, health.wiring, health.pulses
     return {
         "source": source,
-        "outcome": health.outcome.name.lower(),
-        "exit_code": int(health.outcome),
+        "outcome": OUTCOMES[health.verdict],
+        "exit_code": health.exit_code,
         "findings": [asdict(finding) for finding in health.findings],
         "missing": list(health.missing),
         "turned": turned.how,

@@ -9,23 +9,17 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
-from bench.signal.chunks import between, join, part
-from bench.signal.trace import PULSE, SLOPE, STATOR, Trace
-from bench.signal.windows import Window, windows
-from protocol.streams import EdgeChunk
+from bench.signal.chunks import between
+from bench.signal.trace import STATOR, Trace, trace_of
 
 if TYPE_CHECKING:
     from bench.record.reader import Run
 
 LOOKED_AT = ("hall", "status", "i_d", "i_q", *STATOR)
 """Channels that are read, and the encoder's angle."""
-AROUND = 2.0 * SLOPE
-"""s on either side of a piece, from which the speed at its ends is told."""
 
 
 class Recorded:
@@ -57,21 +51,17 @@ class Recorded:
         config, _ = self._run.drive_streams
         there = [channel.name for channel in config.channels]
         chosen = [name for name in (*wanted, reference_angle(config.channels)) if name in there]
-        edges, first, last = 0, None, 0
-        waiting: Capture | None = None
+        edges, first = 0, None
         for capture in captures(self._run, *self._part, chosen or there[:1]):
             edges += len(capture.edges)
-            if waiting is not None:
-                yield waiting
-            first, last = (int(capture.samples.tick[0]) if first is None else first), int(capture.samples.tick[-1])
-            waiting = replace(capture, edges=between(capture.edges, first, last))
+            tick = capture.samples.tick
+            first = int(tick[0]) if first is None else first
+            yield replace(capture, edges=between(capture.edges, first, int(tick[-1])))
         for words in self._run.damage[self._told :]:
             self._note(f"warning: {words}")
         self._told = len(self._run.damage)
         if not edges:
             raise self._nothing()
-        if waiting is not None:
-            yield waiting
 
     def _nothing(self) -> BenchError:
         why = "; ".join(self._run.damage) or "record both"
@@ -87,37 +77,3 @@ def trace(whole: Capture | Recorded) -> Trace:
     """Make ready what was captured or recorded. BenchError without the channel `hall`."""
     samples, edges = (whole.samples, whole.edges) if isinstance(whole, Recorded) else (len(whole), len(whole.edges))
     return trace_of(pieces_of(whole, LOOKED_AT), samples, edges)
-
-
-def trace_of(captures: Iterable[Capture], samples: int, edges: int) -> Trace:
-    """The same of captures that follow each other; `samples`, `edges`: about how many there are."""
-    found = Trace(samples, edges)
-    for window in _with_whole_pulses(windows(captures, AROUND)):
-        if "hall" not in window.capture:
-            raise BenchError("the channel 'hall' was not recorded: record it (bench live --save, all channels)")
-        found.add(window)
-    if not found.samples:
-        raise BenchError("nothing was recorded")
-    return found
-
-
-def _with_whole_pulses(found: Iterable[Window]) -> Iterator[Window]:
-    """The same, but edges that follow each other as those of a false pulse are all in one of them."""
-    waiting: Window | None = None
-    for window in found:
-        if waiting is not None:
-            edges = waiting.capture.edges
-            ticks = np.concatenate([edges.tick, window.capture.edges.tick[:1]])
-            apart = np.flatnonzero(np.diff(ticks) > PULSE * window.capture.tick_hz)
-            kept = len(edges) if len(ticks) == len(edges) else int(apart[-1]) + 1 if len(apart) else 0
-            late = part(edges, kept, len(edges))
-            yield _with_edges(waiting, part(edges, 0, kept))
-            if len(late):
-                window = _with_edges(window, join([late, window.capture.edges]))
-        waiting = window
-    if waiting is not None:
-        yield waiting
-
-
-def _with_edges(window: Window, edges: EdgeChunk) -> Window:
-    return replace(window, capture=replace(window.capture, edges=edges))

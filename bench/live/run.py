@@ -242,7 +242,7 @@ class LiveRun:
         summary.result = self._with_recording(ended).words
         if self.acts:
             summary.outputs = "MAY STILL BE ON" if rig.unsafe else "off, by the drive's heartbeat"
-        summary.asked = self._judge.came() if self._judge else []
+        summary.asked = self._judge.speed.came() if self._judge else []
         summary.live_view = outputs.viewed()
         with suppress(RecordingError):  # `outputs.failure` tells
             rig.signal.uninterrupted(lambda: outputs.end_recording(as_markdown(summary)))
@@ -289,7 +289,7 @@ class LiveRun:
         if not rig.tripped:
             self.client.note(act.title)
             if self._judge is not None and rig.drive.on:  # before it shows in the samples of the act before
-                self._judge.ask(act.speed_rpm, act.load_a, act.title)
+                self._judge.speed.ask(act.speed_rpm, act.load_a, act.title)
             try:
                 if act.source is not None:
                     rig.drive.set("observer", act.source)
@@ -341,7 +341,7 @@ class LiveRun:
         verdict, words = Verdict.FAIL, lost
         findings: tuple[str, ...] = (lost,)
         if not lost and rig.tripped:
-            findings = (rig.tripped, *(self._judge.causes() if self._judge else ()))
+            findings = (rig.tripped, *(found.line for found in (self._judge.causes() if self._judge else ())))
             words = "; ".join(findings) + (f". {self._advice}" if rig.drive.ran_away else "")
         elif not lost:
             verdict, words, findings = self._judged()
@@ -370,8 +370,8 @@ class LiveRun:
             return Verdict.FAIL, f"implausible: {misdated}", (misdated,)
         if self._judge is None:
             return Verdict.PASS, "ok", ()
-        if found := self._judge.implausible(stats.errors):
-            return Verdict.FAIL, f"implausible: {'; '.join(found)}. {self._advice}", tuple(found)
+        if found := tuple(found.line for found in self._judge.implausible(stats.errors)):
+            return Verdict.FAIL, f"implausible: {'; '.join(found)}. {self._advice}", found
         unseen = self._judge.unverified()
         return Verdict.PASS, f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", ()
 

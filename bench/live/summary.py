@@ -16,7 +16,7 @@ from bench.device.counters import DeviceCounters
 from bench.device.description import describe
 from bench.device.heard import Heard
 from bench.files import finite
-from bench.live.plausible import Came
+from bench.findings.motion import Came
 from bench.report.words import number
 from bench.signal.percentiles import Percentiles
 from bench.signal.position import ErrorTable, Moments, position_errors, running

@@ -12,7 +12,7 @@ from bench.plot.looks import looks
 from bench.report.plots import draw_band, turn_axis
 from bench.report.style import FONT_SIZE, axis_labels, legend_above, new_figure
 from bench.signal.error_bins import ANGLES, ErrorByAngle
-from bench.signal.waveforms.sectors import BACKWARDS, FORWARDS
+from bench.signal.waveforms.sectors import FORWARD, REVERSE
 from bench.view.schema import label
 
 
@@ -23,7 +23,7 @@ def as_json(found: Mapping[str, ErrorByAngle]) -> dict[str, Any]:
         mean, std = of.band()
         rows[name] = {**of.overall, "n": int(of.n.sum())} | {
             way: {"n": of.n[k].astype(int).tolist(), "mean": mean[k].tolist(), "std": std[k].tolist()}
-            for k, way in ((FORWARDS, "forwards"), (BACKWARDS, "backwards"))
+            for k, way in ((FORWARD, "forwards"), (REVERSE, "backwards"))
             if of.n[k].any()
         }
     return {"angle_deg": ANGLES.tolist(), "estimates": rows}
@@ -44,9 +44,9 @@ def draw(found: Mapping[str, ErrorByAngle]) -> Figure:
     for ax, (name, of) in zip(axes, found.items(), strict=False):
         own, met = look_of[name].paper, [bool(n.any()) for n in of.n]
         mean, std = of.band()
-        for way, dash, words in ((FORWARDS, "-", label(name)), (BACKWARDS, "--", "reverse")):
+        for way, dash, words in ((FORWARD, "-", label(name)), (REVERSE, "--", "reverse")):
             if met[way]:
-                words = words if met[FORWARDS] else f"{label(name)}, {words}"
+                words = words if met[FORWARD] else f"{label(name)}, {words}"
                 draw_band(ax, mean[way], std[way], own, words, dash)
         ax.axhline(0.0, color="black", linewidth=0.5)
         for edge in range(60, 360, 60):

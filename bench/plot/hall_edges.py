@@ -1,6 +1,6 @@
 """Where the Hall edges lie by the encoder, and how far that is from where they belong, by direction.
 
-Measured as `bench hall` does (`bench.hall.edges`).
+Measured as `bench hall` does (`bench.signal.hall_edges`).
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bench.hall.edges import Measured, measure
-from bench.hall.trace import trace_of
 from bench.record.layout import EDGES, SAMPLES
 from bench.record.reader import Run, captures
 from bench.report import style
 from bench.report.plots import edge_circle
 from bench.report.style import FONT_SIZE, GREY, LINE_WIDTH, SERIES
 from bench.signal.channels import reference_angle
+from bench.signal.hall_edges import Measured, measure
+from bench.signal.trace import trace_of
 from bench.signal.waveforms.sectors import NUMERALS
 
 

@@ -29,6 +29,12 @@ class _Growing:
     directions: list[int] = field(default_factory=list)
     running: list[bool] = field(default_factory=list)
 
+    def turns(self, ran: bool | None, rate: float) -> Turns:
+        """Its starts and reversals; those while the drive is RUNNING, where it ever `ran`."""
+        usable = np.array(self.running) if ran else np.ones(len(self.begins), bool)
+        begins, directions = np.array(self.begins, np.int64), np.array(self.directions, np.int8)
+        return turns_of(begins, directions, usable, self.n, rate)
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -94,19 +100,5 @@ def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], p
                     growing.running.append(bool(now[part.start + at]))
             growing.n += len(direction)
         samples += len(own)
-    stretches = tuple(
-        Stretch(
-            g.first,
-            g.t,
-            g.n,
-            turns_of(
-                np.array(g.begins, np.int64),
-                np.array(g.directions, np.int8),
-                np.array(g.running) if ran else np.ones(len(g.begins), bool),
-                g.n,
-                rate,
-            ),
-        )
-        for g in found
-    )
+    stretches = tuple(Stretch(g.first, g.t, g.n, g.turns(ran, rate)) for g in found)
     return Course(stretches, samples, edges, lost, ran, fastest)

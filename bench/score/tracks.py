@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
+from bench.findings.late import blame
 from bench.record.info import HOST_SUFFIX
 from bench.record.reader import Run, captures
 from bench.record.recording import Source, readable
@@ -28,7 +29,7 @@ from bench.score.phases import CONTEXT, phases_with, speed_of
 from bench.score.tally import Block, Envelope, OverTime, Tally, error_of
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
-from bench.signal.delays import blame, delays_of
+from bench.signal.delays import delays_of
 from bench.signal.trace import STATOR, Trace
 from bench.signal.units import pole_pairs
 from bench.signal.windows import Window, windows

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -38,14 +37,7 @@ UNSURE = 0.03
 LEAST, LEAST_EDGES = 200, 36  # samples and edges that a delay is fitted to
 FAR = math.radians(30.0)  # from the others of its kind, from which on an edge is none of them
 ALIKE = 0.97  # correlation of speed and q current above which their effects cannot be separated
-LATE = 30e-6
-"""s, from which on a delay is one: the fits are good to about 10 us."""
 AGREE = 25e-6  # s within which two delays are one
-
-
-ASK_BACK_EMF = "let the drive turn the motor faster, and record u_alpha, u_beta, i_a and i_b: the back-EMF shows which"
-ASK_EDGES = "record Hall edges at several speeds: they show which"
-OF_ANOTHER_TIME = "currents and voltages are sampled at another time"
 
 
 class Delays(NamedTuple):
@@ -53,16 +45,6 @@ class Delays(NamedTuple):
 
     edges: float
     back_emf: float
-
-
-class Late(Enum):
-    """What is late, or early."""
-
-    NONE = "none"
-    ENCODER = "encoder"
-    HALL = "hall"
-    BOTH = "both"
-    UNCLEAR = "unclear"
 
 
 def delays(capture: Capture) -> Delays:
@@ -77,38 +59,6 @@ def delays_of(trace: Trace) -> Delays:
     if trace.samples < LEAST or not trace.encoder:
         return Delays(math.nan, math.nan)
     return Delays(_by_edges(trace.edges), _by_back_emf(trace))
-
-
-def blame(found: Delays) -> tuple[Late, str]:
-    """What is late by these delays, and how that is known, in words; where several causes fit, all are named."""
-    edges, emf = found
-    known = [delay for delay in found if not math.isnan(delay)]
-    if all(abs(delay) < LATE for delay in known):
-        return Late.NONE, ""
-    edges_differ, emf_differs = _against(edges, "Hall edges", ""), _against(emf, "back-EMF", "s")
-    if math.isnan(emf):
-        other = "they are late" if edges > 0.0 else "the time stamps of samples are late against those of edges"
-        return Late.UNCLEAR, f"{edges_differ}: the encoder is {_late(-edges)}, or {other}; {ASK_BACK_EMF}"
-    if math.isnan(edges):
-        return Late.UNCLEAR, f"{emf_differs}: the encoder is {_late(-emf)}, or {OF_ANOTHER_TIME}; {ASK_EDGES}"
-    if abs(edges - emf) < AGREE:
-        return Late.ENCODER, f"the encoder is {_late(-emf)}: {emf_differs}, and {edges_differ}"
-    if abs(emf) < LATE and edges > 0.0:
-        return Late.HALL, f"the Hall edges are {_late(edges)}: encoder and back-EMF agree"
-    if abs(emf) < LATE:
-        return Late.UNCLEAR, (
-            f"{edges_differ}, and the back-EMF does not: no sensor sees an edge before it happens, so the time stamps "
-            f"of samples are late against those of edges"
-        )
-    if abs(edges) < LATE:
-        return Late.UNCLEAR, (
-            f"{emf_differs}, and the Hall edges do not: encoder and Hall edges are both {_late(-emf)}, or "
-            f"{OF_ANOTHER_TIME}; these data do not separate the two"
-        )
-    return Late.BOTH, (
-        f"the encoder is {_late(-emf)} and the Hall edges are {_late(edges - emf)}, if the back-EMF is on time: "
-        f"{emf_differs}, and {edges_differ}"
-    )
 
 
 def _by_edges(edges: Edges) -> float:
@@ -171,11 +121,3 @@ def _fitted(terms: list[F64], angles: list[F64], weight: F64) -> F64:
     """Coefficients (terms, angles) of the combinations of `terms` that are nearest to `angles`, (n,) each."""
     left, right = (np.stack(columns, 1) * weight[:, None] for columns in (terms, angles))
     return np.linalg.lstsq(left, right, rcond=None)[0].astype(np.float64)
-
-
-def _against(delay: float, what: str, ending: str) -> str:
-    return f"the {what} {'lag' if delay > 0.0 else 'lead'}{ending} the encoder by {1e6 * abs(delay):.0f} us"
-
-
-def _late(delay: float) -> str:
-    return f"{1e6 * abs(delay):.0f} us {'late' if delay > 0.0 else 'early'}"

@@ -11,19 +11,22 @@ are kept to measure from.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
+from bench.signal.chunks import join, part
 from bench.signal.position import running
 from bench.signal.waveforms.sectors import SECTORS
-from bench.signal.windows import Window
+from bench.signal.windows import Window, windows
+from protocol.streams import EdgeChunk
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,6 +37,8 @@ SLOW = 5.0
 """Electrical rad/s, below which the direction of a shaft is not sure."""
 SLOPE = 8e-3
 """s on either side of a sample over which the speed is taken."""
+AROUND = 2.0 * SLOPE
+"""s on either side of a piece, from which the speed at its ends is told."""
 MOST, MOST_EDGES = 500_000, 300_000
 PULSE = 20e-6
 """s between the two edges of a false pulse, at most: a shaft at 30 000 electrical r/min takes 330 us a sector."""
@@ -231,6 +236,43 @@ class Trace:
         angle = way * some.theta[use] - 0.5 * omega / self.pwm_hz
         still: NDArray[np.complex128] = e * np.exp(-1j * angle) * np.sign(omega) / 1j
         return still
+
+
+def trace_of(captures: Iterable[Capture], samples: int, edges: int) -> Trace:
+    """The trace of captures that follow each other; `samples`, `edges`: about how many there are.
+
+    BenchError without samples, and without the channel `hall`.
+    """
+    found = Trace(samples, edges)
+    for window in _with_whole_pulses(windows(captures, AROUND)):
+        if "hall" not in window.capture:
+            raise BenchError("the channel 'hall' was not recorded: record it (bench live --save, all channels)")
+        found.add(window)
+    if not found.samples:
+        raise BenchError("nothing was recorded")
+    return found
+
+
+def _with_whole_pulses(found: Iterable[Window]) -> Iterator[Window]:
+    """The same, but edges that follow each other as those of a false pulse are all in one of them."""
+    waiting: Window | None = None
+    for window in found:
+        if waiting is not None:
+            edges = waiting.capture.edges
+            ticks = np.concatenate([edges.tick, window.capture.edges.tick[:1]])
+            apart = np.flatnonzero(np.diff(ticks) > PULSE * window.capture.tick_hz)
+            kept = len(edges) if len(ticks) == len(edges) else int(apart[-1]) + 1 if len(apart) else 0
+            late = part(edges, kept, len(edges))
+            yield _with_edges(waiting, part(edges, 0, kept))
+            if len(late):
+                window = _with_edges(window, join([late, window.capture.edges]))
+        waiting = window
+    if waiting is not None:
+        yield waiting
+
+
+def _with_edges(window: Window, edges: EdgeChunk) -> Window:
+    return replace(window, capture=replace(window.capture, edges=edges))
 
 
 def _together(kind: type[Arrays], parts: list[Arrays]) -> Arrays:

@@ -79,15 +79,12 @@ def _parted(capture: Capture, n: int) -> tuple[Capture, Capture]:
     samples, edges = capture.samples, capture.edges
     last = samples.tick[n - 1]
     m = int(np.searchsorted(edges.tick, last, "right"))
-    pair = (
-        replace(capture, samples=part(samples, *rows), edges=part(edges, *edge_rows), dropped=dropped)
-        for rows, edge_rows, dropped in (
-            ((0, n), (0, m), tuple(stretch for stretch in capture.dropped if stretch[1] <= last)),
-            ((n, len(samples)), (m, len(edges)), tuple(stretch for stretch in capture.dropped if stretch[1] > last)),
-        )
+    early = tuple(stretch for stretch in capture.dropped if stretch[1] <= last)
+    late = tuple(stretch for stretch in capture.dropped if stretch[1] > last)
+    return (
+        replace(capture, samples=part(samples, 0, n), edges=part(edges, 0, m), dropped=early),
+        replace(capture, samples=part(samples, n, len(samples)), edges=part(edges, m, len(edges)), dropped=late),
     )
-    first, rest = pair
-    return first, rest
 
 
 def _window(before: Capture | None, now: Capture, after: Capture | None, around: float) -> Window:

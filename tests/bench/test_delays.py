@@ -10,11 +10,13 @@ import pytest
 from hall_motor import REAL, capture
 from virtual_run import RecordingScreen
 
-from bench.hall.health import Outcome, examine
+from bench.findings.late import Late, blame
+from bench.hall.health import examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from bench.score.board import score
-from bench.signal.delays import Late, blame, delays
+from bench.signal.delays import delays
+from bench.signal.verdict import Verdict
 
 FAST = REAL.but(turns=((300.0, 0.6), (650.0, 0.6), (0.0, 0.05), (-300.0, 0.6), (-650.0, 0.6)))
 OTHER_MOTOR = """
@@ -99,7 +101,7 @@ def test_a_check_tells_a_late_encoder_from_late_hall_sensors(tmp_path: Path, mot
     with opened(Options("sim", config=config, speed_rpm=rpm), RecordingScreen(), None) as source:
         health = examine(trace(source.turned.capture))
     if cause is None:
-        assert health.outcome is Outcome.HEALTHY
+        assert health.verdict is Verdict.PASS
         assert blame(health.delays)[0] is Late.HALL
         assert health.delays.edges == pytest.approx(100e-6, abs=3e-6)
     else:

@@ -24,10 +24,11 @@ from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, simulat
 
 from bench.cli import cli, main
 from bench.errors import BenchError, UnsafeError
-from bench.hall.health import Health, Outcome, examine
+from bench.hall.health import Health, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from bench.record.reader import Run
+from bench.signal.verdict import Verdict
 from protocol.messages import DriveState, SetpointMode
 from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
@@ -63,7 +64,7 @@ def test_each_fault_is_named_from_the_drive_and_from_its_recording(tmp_path: Pat
     live = look(Options("sim", config=tmp_path / "faulty.toml", save=run))
     found = [live, look(Options(str(run)))] if cause in FROM_A_RECORDING else [live]
     for health in found:
-        assert health.outcome is Outcome.FAULT
+        assert health.verdict is Verdict.FAIL
         assert [rounded(finding.cause) for finding in health.findings] == [rounded(cause)]
         assert all(finding.evidence and finding.advice for finding in health.findings)
         assert [edge.up.n for edge in health.measured.edges] == pytest.approx(
@@ -74,7 +75,7 @@ def test_each_fault_is_named_from_the_drive_and_from_its_recording(tmp_path: Pat
 def test_a_healthy_drive_is_measured_to_what_its_configuration_says(tmp_path: Path) -> None:
     run = tmp_path / "run.run"
     for health in (look(Options("sim", save=run)), look(Options(str(run)))):
-        assert health.outcome is Outcome.HEALTHY
+        assert health.verdict is Verdict.PASS
         assert abs(math.degrees(health.emf.zero)) < 0.5
         for edge, delta in zip(health.measured.edges, TABLE_I, strict=True):
             assert math.degrees(edge.delta(edge.up)) == pytest.approx(delta - 0.25, abs=0.06)
@@ -93,7 +94,7 @@ def test_a_healthy_drive_is_measured_to_what_its_configuration_says(tmp_path: Pa
 def test_a_healthy_drive_is_healthy_whatever_its_noise_load_and_parameters(changed: dict[str, float]) -> None:
     with reached(simulated(7, **changed)):
         found = look(Options(TARGET, yes=True))
-    assert found.outcome is Outcome.HEALTHY
+    assert found.verdict is Verdict.PASS
     assert abs(math.degrees(found.emf.zero)) < 1.0
 
 
@@ -143,7 +144,7 @@ def test_a_drive_without_an_encoder_turns_by_its_hall_sensors_and_leaves_doubt()
     with reached(simulated(encoder__present=0)), opened(Options(TARGET, yes=True), RecordingScreen(), None) as source:
         assert source.turned.how == "the drive by its Hall sensors"
         found = examine(trace(source.turned.capture))
-    assert found.outcome is Outcome.CANNOT_TELL
+    assert found.verdict is Verdict.INVALID
     assert "no encoder was recorded" in found.missing[0]
 
 
@@ -160,7 +161,7 @@ def test_what_a_drive_cannot_do_or_nobody_can_measure_is_refused(option: dict[st
 
 def test_the_slowest_speed_that_is_not_refused_is_enough() -> None:
     with reached(simulated()):
-        assert look(Options(TARGET, yes=True, speed_rpm=15.0, current_a=2.1)).outcome is Outcome.HEALTHY
+        assert look(Options(TARGET, yes=True, speed_rpm=15.0, current_a=2.1)).verdict is Verdict.PASS
 
 
 def forced(device: SimulatedDevice, speed: Callable[[list[float]], float | None]) -> tuple[object, list[float]]:
@@ -230,7 +231,7 @@ def test_nothing_is_energised_without_consent() -> None:
         return True
 
     with reached(device) as links:
-        assert look(Options(TARGET), agree).outcome is Outcome.HEALTHY
+        assert look(Options(TARGET), agree).verdict is Verdict.PASS
     assert "up to 240 r/min, phase current up to 2 A" in asked[0]
     assert any(DriveState.RUNNING in link.states for link in links)
     assert at_rest(device)

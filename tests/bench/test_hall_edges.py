@@ -9,9 +9,9 @@ from hall_motor import TABLE_I, Motor, capture
 from scipy import stats
 
 from bench.errors import BenchError
-from bench.hall import pulses, reference
-from bench.hall.edges import measure
 from bench.hall.trace import trace
+from bench.signal import pulses, reference
+from bench.signal.hall_edges import measure
 from bench.signal.trace import PULSE
 
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hall_motor import REAL, TABLE_I, Motor, capture
 
-from bench.hall.health import Health, Outcome, examine
+from bench.hall.health import Health, examine
 from bench.hall.report import EDGE_HEADERS, WIDTH, as_json, edge_rows, fact_rows, verdict_lines
 from bench.hall.trace import trace
+from bench.signal.verdict import Verdict
 
 OFF = REAL.but(running=False)
 
@@ -25,7 +26,7 @@ def causes(health: Health) -> list[str]:
 def test_the_papers_sensors_are_healthy_with_and_without_back_emf():
     for motor in (REAL, OFF):
         found = check(motor)
-        assert found.outcome is Outcome.HEALTHY
+        assert found.verdict is Verdict.PASS
         assert found.findings == found.missing == ()
         assert (found.wiring.share, found.emf is None) == (1.0, motor is OFF)
 
@@ -64,7 +65,7 @@ def test_a_zero_of_the_encoder_beyond_its_uncertainty_is_a_finding_and_no_more_t
     assert math.degrees(found.emf.spread) < 0.2
     assert found.emf.clear > 0.99
     if abs(zero_deg) < 2.5:
-        assert found.outcome is Outcome.HEALTHY
+        assert found.verdict is Verdict.PASS
         return
     [finding] = found.findings
     assert finding.code == "encoder_zero"
@@ -89,10 +90,10 @@ def test_a_displaced_sensor_is_named_with_its_edges_and_angle_whatever_the_encod
 
 def test_a_back_emf_that_turns_with_the_direction_makes_the_zero_less_certain():
     wrong = {"parameters": {"L_s_hat": 1.5e-3}, "current": lambda t: np.where(t < 3.5, 2.0, -2.0)}
-    for zero_deg, outcome in ((0.0, Outcome.HEALTHY), (5.0, Outcome.HEALTHY), (40.0, Outcome.FAULT)):
+    for zero_deg, verdict in ((0.0, Verdict.PASS), (5.0, Verdict.PASS), (40.0, Verdict.FAIL)):
         found = check(REAL.but(encoder=lambda theta, by=zero_deg: theta + math.radians(by), **wrong))
         assert math.degrees(found.emf.spread) > 4.0
-        assert found.outcome is outcome
+        assert found.verdict is verdict
 
 
 def test_a_rotation_without_back_emf_names_what_else_it_may_be():
@@ -108,7 +109,7 @@ def test_an_uneven_duty_and_unsteady_edges_are_faults_of_their_own():
     assert (uneven.code, uneven.cause) == ("duty", "sensor b is 1 over 55.6 % of a revolution")
     [unsteady] = check(REAL.but(jitter_deg=3.0)).findings
     assert unsteady.code == "unsteady"
-    assert check(REAL.but(jitter_deg=1.0)).outcome is Outcome.HEALTHY
+    assert check(REAL.but(jitter_deg=1.0)).verdict is Verdict.PASS
 
 
 @pytest.mark.parametrize(("in_drive", "of_motor"), [(1, 6), (3, 6), (5, 6), (7, 6), (12, 6), (18, 6), (2, 14)])
@@ -148,7 +149,7 @@ def test_a_contact_that_comes_and_goes_is_no_wiring():
 def test_without_an_encoder_only_some_faults_show():
     blind = REAL.but(without=("theta_enc", "omega_enc"))
     healthy = check(blind)
-    assert healthy.outcome is Outcome.CANNOT_TELL
+    assert healthy.verdict is Verdict.INVALID
     assert "no encoder was recorded" in healthy.missing[0]
     for number, name in enumerate("abc"):
 
@@ -166,14 +167,14 @@ def test_little_data_is_not_health():
         (((60.0, 0.3), (0.0, 0.05), (-60.0, 0.3)), "an edge was passed"),
     ):
         found = check(REAL.but(turns=turns))
-        assert found.outcome is Outcome.CANNOT_TELL
+        assert found.verdict is Verdict.INVALID
         assert words in found.missing[0]
-    assert check(REAL.but(turns=((60.0, 2.0),), rewire=lambda abc: (abc[1], abc[0], abc[2]))).outcome is Outcome.FAULT
+    assert check(REAL.but(turns=((60.0, 2.0),), rewire=lambda abc: (abc[1], abc[0], abc[2]))).verdict is Verdict.FAIL
 
 
 def test_two_false_pulses_are_none_and_many_are_a_fault():
     few = check(REAL.but(pulses=[(0.5, 0), (1.5, 1)]))
-    assert (few.outcome, few.pulses.n) == (Outcome.HEALTHY, 2)
+    assert (few.verdict, few.pulses.n) == (Verdict.PASS, 2)
     [finding] = check(REAL.but(pulses=[(0.1 + 0.2 * k, 2) for k in range(30)])).findings
     assert finding.code == "pulses"
     assert finding.evidence[0].startswith("30 pulses of at most 3.0 us, 4.")
@@ -196,7 +197,7 @@ def test_a_report_fits_a_terminal_and_its_json_says_the_same():
         assert sum(max(len(row[k]) for row in cells) + 3 for k in range(len(EDGE_HEADERS))) <= WIDTH  # rich takes 3
         assert all(len(row) == 2 for row in fact_rows(health, looked_at, turned))
         data = as_json(health, looked_at, turned, "x")
-        assert data["exit_code"] == int(health.outcome)
+        assert data["exit_code"] == health.exit_code
         assert [f["cause"] for f in data["findings"]] == [f.cause for f in health.findings]
         for row, edge in zip(rows, data["edges"], strict=True):
             assert float(row[1]) == pytest.approx(edge["up"]["angle_deg"], abs=0.0051)

@@ -16,11 +16,12 @@ from virtual_run import RecordingScreen, WatchedLink, run
 
 from bench.cli import cli
 from bench.device.simulator import motors
-from bench.hall.health import Health, Outcome, examine
+from bench.hall.health import Health, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from bench.live.run import LiveOutcome
 from bench.rig.settings import read_settings
+from bench.signal.verdict import Verdict
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from tests.choice import chosen, sampled
@@ -91,7 +92,7 @@ def test_the_show_is_ok_and_its_estimates_are_as_good_as_on_the_papers_motor(nam
 @turning_motor
 def test_a_check_finds_its_hall_sensors_healthy_and_where_they_are(name: str) -> None:
     health = check(motors()[name])
-    assert health.outcome is Outcome.HEALTHY
+    assert health.verdict is Verdict.PASS
     for edge, delta in zip(health.measured.edges, load_params().hall.delta_deg, strict=True):
         assert math.degrees(edge.delta(edge.up)) == pytest.approx(delta - 0.25, abs=0.1)
 
@@ -115,7 +116,7 @@ def test_exchanged_and_broken_wires_are_never_ok(name: str) -> None:
     for fault in chosen("wires", ({"hall_swap": 1}, {"hall_swap": 4}, {"hall_open": 2}, {"hall_invert": 1}), 2):
         assert show(name, **{f"wiring__{key}": value for key, value in fault.items()}).exit_code == 1
     rotated = show(name, wiring__hall_swap=5)  # the one with which a motor turns: backwards, away
-    assert "the Hall codes are those of sensors rotated (a on c, b on a, c on b)" in rotated.summary.result
+    assert "sensors rotated (a on c, b on a, c on b)" in rotated.summary.result
 
 
 @turning_motor

@@ -21,13 +21,14 @@ from virtual_run import WatchedLink, at_rest, physical
 import bench
 from bench.compare.compare import Comparison
 from bench.export.export import Exported
-from bench.hall.health import Health, Outcome
+from bench.hall.health import Health
 from bench.plot.plot import Plot
 from bench.rig.drive import Drive
 from bench.rig.loads import Load
 from bench.rig.notebook import Simulated
 from bench.score.board import Scoreboard
 from bench.signal import waveforms
+from bench.signal.verdict import Verdict
 from protocol.messages import DriveState
 
 pytestmark = pytest.mark.slow
@@ -74,8 +75,8 @@ def test_the_page_as_it_is_printed(tmp_path, monkeypatch, capsys) -> None:
     assert at_rest(link.device)
     assert set(cells["recording"].events["name"]) == {"STATE_CHANGED"}
     assert cells["longest"] == len(cells["recording"].samples) == len(cells["whole"])
-    assert cells["health"].outcome is Outcome.CANNOT_TELL
-    assert printed.count("CANNOT_TELL [] ('only ") == 1
+    assert cells["health"].verdict is Verdict.INVALID
+    assert printed.count("INVALID [] ('only ") == 1
     assert cells["differences"].loc["i_q", "verdict"] == "differs"
     assert set(cells["plots"]) == {"spectrum", "error_by_angle", "error_by_speed", "current_plane", "hall_edges"}
     assert Path("spectrum.png").stat().st_size > 10_000
@@ -145,7 +146,7 @@ def test_a_signature_of_the_page_is_that_of_the_code(node: ast.FunctionDef | ast
 
 def test_the_page_has_the_signatures_of_everything_that_is_public() -> None:
     named = {node.name: node for node in SIGNATURES}
-    elsewhere = {"BenchError", "DriveTripped", "Settings", "__version__", "BACKWARDS", "FORWARDS"}
+    elsewhere = {"BenchError", "DriveTripped", "Settings", "__version__", "REVERSE", "FORWARD"}
     assert {*bench.__all__, *waveforms.__all__} - elsewhere <= named.keys()
     for name, node in named.items():
         if not isinstance(node, ast.ClassDef) or not (name == "Capture" or name in waveforms.__all__):

@@ -27,7 +27,6 @@ from bench.device.heard import Missing
 from bench.device.losses import Continuity
 from bench.errors import BenchError
 from bench.files import leaves
-from bench.hall import trace as tracing
 from bench.hall.health import examine
 from bench.hall.trace import Recorded, trace
 from bench.record import writer
@@ -247,7 +246,7 @@ def test_memory_does_not_grow_with_the_run(tmp_path, small_groups: None, monkeyp
     monkeypatch.setattr(windows, "PIECE", 4000)
     for name in ("MOST", "MOST_EDGES"):
         monkeypatch.setattr(trace_of_analysis, name, 2000)
-    runs = [repeated(tmp_path / f"{times}.run", times) for times in (4, 24)]
+    runs = [repeated(tmp_path / f"{times}.run", times) for times in (4, 26)]
 
     def use(path: Path) -> None:
         if what == "score":
@@ -257,7 +256,7 @@ def test_memory_does_not_grow_with_the_run(tmp_path, small_groups: None, monkeyp
 
     use(runs[0])  # compiles
     short, long = (peak(lambda path=path: use(path)) for path in runs)  # type: ignore[misc]
-    samples = 24 * len(Run(REVERSAL).samples)
+    samples = 26 * len(Run(REVERSAL).samples)
     assert long < 1.5 * short  # six times as long: of each window a few numbers are kept
     assert long < samples * 8 * 3  # angle, estimate and error alone would be that
 
@@ -293,7 +292,7 @@ def test_a_part_is_scored_and_checked(tmp_path: Path) -> None:
 def test_a_trace_does_not_depend_on_the_pieces(monkeypatch: pytest.MonkeyPatch, piece: int) -> None:
     """Pulses that lie over the end of a piece, and an angle that goes on over all of them."""
     clean = Motor(turns=((60.0, 1.0), (150.0, 1.0), (0.0, 0.05), (-150.0, 1.0)))
-    least = round(tracing.AROUND * 16_000) + 1  # samples of a piece, where `piece` is less
+    least = round(trace_of_analysis.AROUND * 16_000) + 1  # samples of a piece, where `piece` is less
     ends = np.arange(1, 40) * max(piece, least) - 1
     pulses = [((end - 0.02) / 16_000, k % 3) for k, end in enumerate(ends) if 0.1 < end / 16_000 < 2.9]  # 3 us wide
     made = capture(clean.but(pulses=pulses))
@@ -323,7 +322,7 @@ def test_of_many_samples_some_are_measured_and_all_are_counted(monkeypatch: pyte
     assert (some.samples, some.changes()) == (len(made), whole.changes())
     flips = made.edges.hall_old ^ made.edges.hall_new
     assert whole.changes() == [int(((flips >> k) & 1).sum()) - slow_flips(whole, made, k) for k in range(len(INPUTS))]
-    assert examine(some).outcome == examine(whole).outcome
+    assert examine(some).verdict == examine(whole).verdict
     for one, other in zip(examine(some).measured.edges, examine(whole).measured.edges, strict=True):
         assert one.up.angle == pytest.approx(other.up.angle, abs=1e-3)
 

@@ -15,7 +15,7 @@ from bench.report import style
 from bench.report.plots import edge_circle
 from bench.report.style import FONT_SIZE, LIGHT, LINE_WIDTH, SERIES
 from bench.signal.capture import F64, Capture
-from bench.signal.waveforms import BACKWARDS, FORWARDS, EdgeOffsets
+from bench.signal.waveforms import FORWARD, REVERSE, EdgeOffsets
 from bench.signal.waveforms.sectors import NUMERALS
 
 
@@ -39,8 +39,8 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
     wanted = np.degrees(expected)
     chart.bar(x, 2 * np.degrees(tolerance), 0.8, wanted - np.degrees(tolerance), color=LIGHT, label="allowed")
     for values, mark, hue, words in (
-        (offsets.mean[:, FORWARDS], ">", SERIES[1], "forward"),
-        (offsets.mean[:, BACKWARDS], "<", SERIES[2], "reverse"),
+        (offsets.mean[:, FORWARD], ">", SERIES[1], "forward"),
+        (offsets.mean[:, REVERSE], "<", SERIES[2], "reverse"),
         (middle, "o", SERIES[0], "middle"),
     ):
         chart.plot(x, np.degrees(values), mark, color=hue, markersize=4.5, label=words)
@@ -55,8 +55,8 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
     below.set_axis_off()
     rows = {
         "Table I": wanted,
-        "forward": np.degrees(offsets.mean[:, FORWARDS]),
-        "reverse": np.degrees(offsets.mean[:, BACKWARDS]),
+        "forward": np.degrees(offsets.mean[:, FORWARD]),
+        "reverse": np.degrees(offsets.mean[:, REVERSE]),
         "middle": np.degrees(middle),
     }
     table = below.table(

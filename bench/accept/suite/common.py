@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 
 import numpy as np
 
+from bench.findings.wiring import AS_SPECIFIED, diagnose
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.needs import offers
 from bench.rig.ratings import Ratings
@@ -20,7 +21,6 @@ from bench.signal.limits import Limits
 from bench.signal.units import RPM
 from bench.signal.waveforms import EdgeOffsets, edge_offsets, thd_by_angle
 from bench.signal.waveforms.harmonics import ORDER
-from bench.signal.wiring import AS_SPECIFIED, diagnose
 
 if TYPE_CHECKING:
     from bench.accept.fixtures import Record

@@ -58,8 +58,8 @@ from bench.accept.suite.events import (
     stepped,
     tripped,
 )
+from bench.findings.wiring import AS_SPECIFIED, diagnose
 from bench.rig.loads import Load, NodeLoad
-from bench.signal.wiring import AS_SPECIFIED, diagnose
 from protocol.codes import DriveState
 
 WATCHDOG = 0.2  # s, of a drive without a parameter for it, by the specification

@@ -40,10 +40,11 @@ from bench.accept.suite.common import (
 )
 from bench.accept.suite.events import current
 from bench.errors import BenchError
+from bench.findings.late import Late, blame
 from bench.rig.loads import Load
-from bench.signal.delays import Late, blame, delays
+from bench.signal.delays import delays
 from bench.signal.trace import STATOR
-from bench.signal.waveforms import BACKWARDS, FORWARDS
+from bench.signal.waveforms import FORWARD, REVERSE
 from bench.signal.waveforms.sectors import NUMERALS
 
 PHASES = ("channel:i_a", "channel:i_b", "channel:i_c")
@@ -135,7 +136,7 @@ def test_hall_edges(drive: Drive, rated: Ratings, record: Record, measure: Measu
     delta = np.degrees(offsets.mean)
     for s, sector in enumerate(NUMERALS):
         measure(f"delta_{sector}", delta[s].mean(), *turning)
-    measure("hysteresis", (delta[:, BACKWARDS] - delta[:, FORWARDS]).mean(), *turning)
+    measure("hysteresis", (delta[:, REVERSE] - delta[:, FORWARD]).mean(), *turning)
     measure("edges_dropped", offsets.dropped, *turning)
 
 
@@ -247,6 +248,6 @@ def _encoder_turns(run: Capture) -> tuple[float, int]:
     turns = (len(theta) - 1) // 6
     if turns < 1:
         return math.nan, offsets.dropped
-    forwards = offsets.n[:, FORWARDS].sum() > len(theta) / 2
+    forwards = offsets.n[:, FORWARD].sum() > len(theta) / 2
     by_encoder = (theta[6 * turns] - theta[0]) / math.tau
     return (by_encoder if forwards else -by_encoder) / turns, offsets.dropped

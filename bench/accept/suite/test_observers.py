@@ -26,7 +26,7 @@ from bench.accept.suite.common import (
     whole_turns,
 )
 from bench.rig.loads import NodeLoad
-from bench.signal.waveforms import BACKWARDS, FORWARDS
+from bench.signal.waveforms import FORWARD, REVERSE
 from protocol.signals import SOURCE_NAMES, AngleSource
 
 SPEEDS = {"slow": 1 / 6, "fast": 2 / 3}  # of the rated speed
@@ -155,7 +155,7 @@ def _ratio(run: Capture, short: str, other: str) -> float:
 def _ring(run: Capture, sign: int) -> float:
     """Mean of ideal less actual angle of the edges met in one direction, rad, each sector as wide as it is."""
     delta = offsets_by_encoder([run]).mean
-    way = delta[:, FORWARDS if sign > 0 else BACKWARDS]
+    way = delta[:, FORWARD if sign > 0 else REVERSE]
     width = math.pi / 3.0 + way - np.roll(way, -1)
     return float((width * 0.5 * (way + np.roll(way, -1))).sum() / math.tau)
 
@@ -163,6 +163,6 @@ def _ring(run: Capture, sign: int) -> float:
 def _teach(drive: Drive, turning: Sequence[Capture]) -> None:
     """Tell the drive where the edges lie by the encoder, each way."""
     delta = offsets_by_encoder(turning).mean
-    for way, column in (("up", FORWARDS), ("down", BACKWARDS)):
+    for way, column in (("up", FORWARD), ("down", REVERSE)):
         for s in range(6):
             drive.set(f"edge_{way}_{s + 1}", float(delta[s, column]))

@@ -52,7 +52,7 @@ from bench.accept.suite.common import (
 )
 from bench.rig.loads import Load, NodeLoad
 from bench.signal.capture import F64
-from bench.signal.waveforms import BACKWARDS, FORWARDS, sine_response
+from bench.signal.waveforms import FORWARD, REVERSE, sine_response
 from bench.signal.waveforms.sectors import NUMERALS
 from protocol.signals import Injection, Status
 
@@ -66,7 +66,7 @@ Complex = NDArray[np.complex128]
 TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)  # deg, ideal - measured, of the edges that open the sectors I..VI
 TOLERANCE = 1.0  # deg: pole pairs differ
 HYSTERESIS = 3.0  # deg at most; the paper gives none
-MET = {"forwards": FORWARDS, "backwards": BACKWARDS}
+MET = {"forwards": FORWARD, "backwards": REVERSE}
 MET_WORDS = {"forwards": "passed forward", "backwards": "passed in reverse"}
 
 
@@ -112,7 +112,7 @@ def test_table1_hall_edges(
         measure(f"delta_{sector}", delta[s].mean(), *turning)
         for way, column in MET.items():
             measure(f"delta_{sector}_{way}", delta[s, column], turning[column])
-    measure("hysteresis", (delta[:, BACKWARDS] - delta[:, FORWARDS]).mean(), *turning)
+    measure("hysteresis", (delta[:, REVERSE] - delta[:, FORWARD]).mean(), *turning)
     measure("edges_dropped", offsets.dropped, *turning)
     figure(
         "table1",

@@ -11,8 +11,8 @@ is NaN, with its count beside it.
 from bench.signal.waveforms.frequency import Spectrum, sine_response, spectrum
 from bench.signal.waveforms.harmonics import Fundamental, Thd, fundamental, periodic, thd, thd_by_angle
 from bench.signal.waveforms.sectors import (
-    BACKWARDS,
-    FORWARDS,
+    FORWARD,
+    REVERSE,
     EdgeOffsets,
     SectorErrors,
     by_sector,
@@ -31,7 +31,7 @@ from bench.signal.waveforms.steps import (
 )
 
 __all__ = [
-    "BACKWARDS", "FORWARDS", "Constant", "EdgeOffsets", "Fundamental", "RampFit", "SectorErrors", "Settled", "Spectrum",
+    "REVERSE", "FORWARD", "Constant", "EdgeOffsets", "Fundamental", "RampFit", "SectorErrors", "Settled", "Spectrum",
     "StepResponse", "Thd", "by_sector", "constant", "edge_offsets", "fundamental", "periodic", "ramp",
     "sector_of_angle", "settled", "sine_response", "spectrum", "step_response", "thd", "thd_by_angle",
 ]  # fmt: skip

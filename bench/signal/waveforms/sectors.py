@@ -1,7 +1,7 @@
 """Errors by electrical sector, and where the Hall edges lie.
 
 Angles are electrical rad, wrapped or not. Sector k is [k * 60 deg, (k + 1) * 60 deg). Nothing here knows a wiring other
-than the specified one: see `bench.signal.wiring`.
+than the specified one: see `bench.findings.wiring`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _STEPS = np.array([
     for old in SECTOR_OF_CODE for new in SECTOR_OF_CODE
 ])  # fmt: skip
 """Sectors gone, by the old code times 8 and the new one."""
-FORWARDS, BACKWARDS = 0, 1
+FORWARD, REVERSE = 0, 1
 """Columns of `EdgeOffsets`."""
 
 
@@ -41,7 +41,7 @@ class SectorErrors(NamedTuple):
 
 
 class EdgeOffsets(NamedTuple):
-    """Where the edges lie: (6, 2), row s for the edge that opens sector s, columns FORWARDS and BACKWARDS."""
+    """Where the edges lie: (6, 2), row s for the edge that opens sector s, columns FORWARD and REVERSE."""
 
     mean: Floats
     """delta = ideal - measured angle, rad in [-pi, pi), circular mean; NaN where n is 0."""
@@ -74,11 +74,11 @@ def by_sector(theta: ArrayLike, error: ArrayLike) -> SectorErrors:
 def edge_offsets(
     theta_at_edge: ArrayLike, hall_old: NDArray[np.integer[Any]], hall_new: NDArray[np.integer[Any]]
 ) -> EdgeOffsets:
-    """Offsets delta of the six edges, met forwards and backwards, from Hall edges with the true angle at each.
+    """Offsets delta of the six edges, met forward and in reverse, from Hall edges with the true angle at each.
 
     `theta_at_edge` (n,) rad, `hall_old` and `hall_new` (n,) codes before and after, 0..7, bit 0 = sensor a. The edge
     that opens sector s ideally lies at s * 60 deg; measured 3 deg late its delta is -3 deg, as in Table I of Kim et al.
-    2011 (DOI 10.1109/TIE.2010.2098367). Half the hysteresis is (backwards - forwards) / 2.
+    2011 (DOI 10.1109/TIE.2010.2098367). Half the hysteresis is (reverse - forward) / 2.
 
     Raises ValueError for angles that are not finite, for arrays of different lengths and for codes beyond 7.
     """
@@ -88,18 +88,18 @@ def edge_offsets(
     if not np.isfinite(theta).all():
         raise ValueError(f"{np.count_nonzero(~np.isfinite(theta))} of {len(theta)} edges have no finite angle")
     edge, way = edge_passages(old, new)
-    forwards, backwards = way > 0, way < 0
+    forward, reverse = way > 0, way < 0
     delta = wrap(edge * SECTOR_WIDTH - theta)
     mean, std = np.full((2, SECTORS, 2), math.nan)
     n = np.zeros((SECTORS, 2), dtype=np.int64)
-    for column, met in ((FORWARDS, forwards), (BACKWARDS, backwards)):
+    for column, met in ((FORWARD, forward), (REVERSE, reverse)):
         for s in range(SECTORS):
             here = delta[met & (edge == s)]
             n[s, column] = len(here)
             if len(here):
                 mean[s, column] = np.angle(np.exp(1j * here).mean())
                 std[s, column] = np.sqrt(np.mean(wrap(here - mean[s, column]) ** 2))
-    return EdgeOffsets(mean, std, n, int(np.count_nonzero(~(forwards | backwards))))
+    return EdgeOffsets(mean, std, n, int(np.count_nonzero(~(forward | reverse))))
 
 
 def edge_passages(

@@ -12,8 +12,8 @@ from scipy import signal
 from scipy.optimize import brentq
 
 from bench.signal.waveforms import (
-    BACKWARDS,
-    FORWARDS,
+    FORWARD,
+    REVERSE,
     by_sector,
     constant,
     edge_offsets,
@@ -71,43 +71,29 @@ def test_what_leaves_the_band_at_the_end_or_stays_too_short_has_not_settled() ->
 # --- steps ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("y0", "y1"), [(0.0, 4.0), (1000.0, 500.0), (-2.0, 2.0)])
-def test_first_order_lag(y0: float, y1: float) -> None:
-    tau, t_step = 0.01, 0.0503
-    t = times(0.25, 16e3, start=0.02)
-    y = y0 + (y1 - y0) * np.where(t > t_step, 1.0 - np.exp(-(t - t_step) / tau), 0.0)
-    response = step_response(t, y, t_step, y0, y1, band=0.05)
-    assert response.delay == pytest.approx(-tau * math.log(0.9), abs=1e-6)
-    assert response.rise == pytest.approx(tau * math.log(9.0), abs=1e-6)
-    assert response.settling is not None
-    assert 0.0 <= response.settling - tau * math.log(20.0) < 1.0 / 16e3
-    assert np.abs(t - (t_step + response.settling)).min() < 1e-9  # it settles at a sample
-    assert (response.overshoot, response.peak) == (0.0, pytest.approx(y1, abs=1e-6 * abs(y1 - y0)))
-    assert response.steady_error == pytest.approx(0.0, abs=1e-5 * abs(y1 - y0))
-
-
 @pytest.mark.parametrize("zeta", [0.2, 0.5, 0.707])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_second_order_system(zeta: float, sign: float) -> None:
-    w, gain = 2.0 * math.pi * 50.0, 1.03  # settles 3 % beside what was commanded
+@pytest.mark.parametrize(("y0", "height"), [(0.0, 1.0), (1000.0, -500.0)])
+def test_second_order_system(zeta: float, y0: float, height: float) -> None:
+    w, gain, rate, t_step = 2.0 * math.pi * 50.0, 1.03, 20e3, 0.05  # settles 3 % beside what was commanded
     system = signal.TransferFunction([gain * w * w], [1.0, 2.0 * zeta * w, w * w])
-    t = times(0.4, 20e3)
-    y = sign * system.step(T=t)[1]
+    t = times(0.4, rate)
+    y = np.concatenate([np.zeros(round(t_step * rate)), system.step(T=t)[1]])
     damped = w * math.sqrt(1.0 - zeta**2)
 
     def exact(x: float) -> float:
         decay = math.exp(-zeta * w * x)
         return gain * (1.0 - decay * (math.cos(damped * x) + zeta * w / damped * math.sin(damped * x)))
 
-    response = step_response(t, y, 0.0, 0.0, sign, band=0.05)
+    start = 0.02
+    response = step_response(times(0.45, rate, start), y0 + height * y, start + t_step, y0, y0 + height, band=0.05)
     t10, t90 = (brentq(lambda x, level=level: exact(x) - level, 0.0, math.pi / damped) for level in (0.1, 0.9))
     peak = gain * (1.0 + math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2)))
     assert (response.delay, response.rise) == (pytest.approx(t10, abs=1e-6), pytest.approx(t90 - t10, abs=1e-6))
-    assert response.peak == pytest.approx(sign * peak, abs=1e-4)
+    assert response.peak == pytest.approx(y0 + height * peak, abs=1e-4 * abs(height))
     assert response.overshoot == pytest.approx(peak - 1.0, abs=1e-4)
-    assert response.steady_error == pytest.approx(sign * 0.03, abs=1e-5)
+    assert response.steady_error == pytest.approx(height * 0.03, abs=1e-5 * abs(height))
     assert response.settling is not None
-    assert abs(exact(response.settling - 1.5 / 20e3) - 1.0) > 0.05
+    assert abs(exact(response.settling - 1.5 / rate) - 1.0) > 0.05
     assert all(abs(exact(x) - 1.0) <= 0.05 for x in np.linspace(response.settling, 0.4, 2000))
 
 
@@ -188,21 +174,6 @@ def test_thd_of_known_harmonics(rest, seed, f, samples_a_period, periods, offset
     assert periods - 1.0 < known.periods <= periods + 1.5 / samples_a_period  # one sample may lack, half is rounded
 
 
-@settings(max_examples=6, deadline=None)
-@given(
-    rest=st.lists(st.floats(0.0, 0.1), min_size=19, max_size=19),
-    f=st.floats(5.0, 300.0),
-    samples_a_period=st.floats(41.0, 200.0),
-    periods=st.floats(3.2, 15.0),
-)
-def test_thd_finds_the_fundamental_itself(rest: list[float], f: float, samples_a_period: float, periods: float) -> None:
-    t = times(periods / f, f * samples_a_period, start=3.0)
-    y = 0.7 + wave(2 * math.pi * f * t, [1.0, *rest])
-    found = thd(t, y)
-    assert found.f == pytest.approx(f, rel=1e-9)
-    assert found.value == pytest.approx(math.sqrt(sum(a * a for a in rest)), abs=1e-8)
-
-
 def test_thd_is_the_fft_over_whole_periods() -> None:
     rate, f = 10e3, 50.0
     t = times(0.2149, rate)  # 10 periods of 200 samples, and part of one more
@@ -281,13 +252,6 @@ def test_a_sine_on_a_line_shows_its_amplitude(window: str, n: int) -> None:
     assert found.amplitude[1:48].max() < 1e-9
 
 
-@pytest.mark.parametrize(("window", "least"), [("hann", 0.848), ("rectangular", 0.636)])
-def test_a_sine_between_two_lines_shows_as_much_as_promised(window: str, least: float) -> None:
-    t = times(1.0, 10e3)
-    found = spectrum(t, np.sin(2 * math.pi * 1000.5 * t), window).amplitude.max()
-    assert found == pytest.approx(least, abs=2e-3)
-
-
 def test_spectrum_at_half_the_sample_rate_and_against_scipy() -> None:
     t = times(1.0, 100.0)
     assert spectrum(t, np.tile([1.5, -1.5], 50)).amplitude[-1] == pytest.approx(1.5)
@@ -353,8 +317,8 @@ def edges_of_turns(delta_deg: tuple[float, ...], hysteresis_deg: float, turns: i
 def test_edge_offsets_are_those_of_table_one() -> None:
     theta, old, new = edges_of_turns(TABLE_I, 2.0, 5)
     found = edge_offsets(theta, old, new)
-    assert np.degrees(found.mean[:, FORWARDS]) == pytest.approx(np.array(TABLE_I) - 1.0)
-    assert np.degrees(found.mean[:, BACKWARDS]) == pytest.approx(np.array(TABLE_I) + 1.0)
+    assert np.degrees(found.mean[:, FORWARD]) == pytest.approx(np.array(TABLE_I) - 1.0)
+    assert np.degrees(found.mean[:, REVERSE]) == pytest.approx(np.array(TABLE_I) + 1.0)
     assert (found.std, found.n.tolist()) == (pytest.approx(np.zeros((6, 2)), abs=1e-12), [[5, 5]] * 6)
     assert found.dropped == 0
 
@@ -371,7 +335,7 @@ def test_edges_between_no_neighbours_are_dropped_and_counted() -> None:
     theta = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
     found = edge_offsets(theta, np.array([5, 1, 1, 0, 3]), np.array([1, 7, 2, 3, 3]))
     assert found.dropped == 4
-    assert found.n.sum() == found.n[0, FORWARDS] == 1
+    assert found.n.sum() == found.n[0, FORWARD] == 1
     assert np.isnan(found.mean).sum() == np.isnan(found.std).sum() == 11
     none = edge_offsets(np.empty(0), np.empty(0, np.uint8), np.empty(0, np.uint8))
     assert none.n.sum() == none.dropped == 0

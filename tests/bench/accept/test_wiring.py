@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bench.live.causes import Wires
-from bench.signal.wiring import diagnose
+from bench.findings.wiring import Wires, diagnose
 
 Floats = NDArray[np.float64]
 Levels = NDArray[np.bool_]
@@ -136,4 +135,5 @@ def test_a_run_names_the_wires_whatever_pieces_it_came_in() -> None:
     wires = Wires()
     for piece in (slice(0, 1), slice(1, 2), slice(2, 2), slice(2, None)):
         wires.add(theta[piece], hall[piece])
-    assert "sensors b and c exchanged" in wires.finding()
+    [finding] = wires.findings()
+    assert (finding.code, finding.cause) == ("wiring", "sensors b and c exchanged")

@@ -1,15 +1,22 @@
-"""Hall sensors against the encoder, in a shaft known by formula: edges that come late, or never, accuse nobody."""
+"""What `bench.findings` says of a shaft known by formula: of pieces of a run as of a recording, by one table."""
 
 from __future__ import annotations
 
+import ast
 import math
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
-from hall_motor import PWM_HZ, TABLE_I, TICK_HZ, Motor, capture
+from hall_motor import PWM_HZ, REAL, TABLE_I, TICK_HZ, Motor, capture
 
-from bench.live.causes import Turns
+from bench.findings import thresholds
+from bench.findings.pole_pairs import ComparedTurns
+from bench.findings.wiring import Wires
+from bench.hall.health import examine
+from bench.hall.trace import trace
 from bench.signal.waveforms.sectors import steps_between
 from protocol.streams import Gap, SampleChunk
 
@@ -20,11 +27,11 @@ SLOW = ((4.0 * math.pi, 8.0),)  # 16 electrical revolutions
 MOTOR = Motor(delta_deg=TABLE_I, turns=RAMP)
 
 
-def found(motor: Motor, late: float, lost: range = range(0), chunk: int = CHUNK, every: int = 1) -> Turns:
+def found(motor: Motor, late: float, lost: range = range(0), chunk: int = CHUNK, every: int = 1) -> ComparedTurns:
     """The samples, each `every`, in chunks, and edges `late`, s, after the samples of their time, without `lost`."""
     seen = capture(motor)
     samples, edges = seen.samples, seen.edges
-    turns = Turns(PWM_HZ / every, motor.n_p)
+    turns = ComparedTurns(PWM_HZ / every, motor.n_p)
     came = edges.tick + round(late * TICK_HZ)
     given = 0
     for first in range(0, len(samples), chunk):
@@ -50,7 +57,7 @@ def test_edges_that_come_late_are_counted_where_they_belong(turns: tuple[tuple[f
     for sign in (1.0, -1.0):
         judged = found(MOTOR.but(turns=[(sign * omega, seconds) for omega, seconds in turns]), late)
         assert judged.compared
-        assert judged.finding() == ""
+        assert list(judged.findings()) == []
 
 
 @pytest.mark.parametrize("late", [0.0, 0.2])
@@ -58,7 +65,11 @@ def test_edges_that_come_late_are_counted_where_they_belong(turns: tuple[tuple[f
 def test_wrong_pole_pairs_are_named_all_the_same(knows: int, late: float) -> None:
     """The shaft has six; the firmware makes an electrical angle of the encoder's with what it knows."""
     motor = MOTOR.but(turns=RAMP + STEADY, n_p=knows, encoder=lambda theta: theta * knows / 6)
-    assert f"n_p = {knows} is wrong, or sensors or encoder are (6.0 would fit)" in found(motor, late).finding()
+    [finding] = found(motor, late).findings()
+    assert finding.cause == f"n_p = {knows} is wrong, or sensors or encoder are (6.0 would fit)"
+    both_ways = motor.but(turns=(*motor.turns, *((-omega, seconds) for omega, seconds in motor.turns)))
+    [checked] = examine(trace(capture(both_ways))).findings
+    assert checked.cause == f"wrong number of pole pairs: {knows} in the drive, 6 would fit"
 
 
 @pytest.mark.parametrize("late", [0.9, 1.5])
@@ -67,24 +78,25 @@ def test_edges_that_come_after_all_waiting_leave_it_open(late: float) -> None:
     judged = found(MOTOR.but(turns=((60.0 * math.pi, 3.0),)), late)
     assert judged.too_late
     assert not judged.compared
-    assert judged.finding() == ""
+    assert list(judged.findings()) == []
 
 
 def test_dead_hall_sensors_are_named() -> None:
-    assert "the Hall sensors 0.0 in that direction" in found(MOTOR.but(turns=STEADY), 10.0).finding()
+    [finding] = found(MOTOR.but(turns=STEADY), 10.0).findings()
+    assert "the Hall sensors 0.0 in that direction" in finding.evidence[0]
 
 
 def test_lost_edges_are_no_wrong_pole_pairs() -> None:
     """A block with a gap is left out: of 360 edges in 2 s 60 in a row are missing, more than a block has."""
     judged = found(MOTOR.but(turns=((60.0 * math.pi, 2.0),)), 0.02, range(100, 160))
     assert judged.compared
-    assert judged.finding() == ""
+    assert list(judged.findings()) == []
 
 
 def test_a_short_run_is_not_judged() -> None:
     judged = found(MOTOR, 0.1)
     assert not judged.compared
-    assert judged.finding() == ""
+    assert list(judged.findings()) == []
 
 
 def test_too_few_samples_are_told() -> None:
@@ -92,3 +104,23 @@ def test_too_few_samples_are_told() -> None:
     motor = MOTOR.but(turns=((200.0 * math.pi, 2.0),))
     assert found(motor, 0.1, every=320, chunk=3200).too_fast
     assert not found(motor, 0.1, every=32, chunk=3200).too_fast
+
+
+@pytest.mark.parametrize("rewire", [
+    lambda abc: (abc[1], abc[0], abc[2]), lambda abc: (abc[2], abc[0], abc[1]),
+    lambda abc: (abc[0], 1 - abc[1], abc[2]), lambda abc: (abc[0], abc[1], 1), lambda abc: (0, abc[1], abc[2]),
+], ids=["exchanged", "rotated", "inverted", "open", "shorted"])  # fmt: skip
+def test_a_run_names_wires_as_a_check_of_its_recording_does(rewire) -> None:
+    recorded = capture(REAL.but(rewire=rewire))
+    wires = Wires()
+    for rows in np.array_split(np.arange(len(recorded)), 50):
+        wires.add(recorded["theta_enc"][rows], recorded.samples.raw["hall"][rows])
+    [of_run], [of_check] = wires.findings(), examine(trace(recorded)).findings
+    assert (of_run.cause, of_run.advice) == (of_check.cause, of_check.advice)
+
+
+def test_every_threshold_says_where_it_comes_from() -> None:
+    table = ast.parse(Path(thresholds.__file__).read_text()).body
+    said = [isinstance(after, ast.Expr) for node, after in pairwise(table) if isinstance(node, ast.Assign)]
+    assert len(said) > 20
+    assert all(said)

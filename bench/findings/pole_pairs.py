@@ -1,33 +1,31 @@
-"""What a run shows of why it went wrong: Hall sensors against encoder, their wires, and the firmware's flux linkage.
+"""Electrical revolutions by the Hall sensors beside those by the encoder: wrong pole pairs, or an encoder that slips.
 
-Each keeps sums of the samples that it is given, and at the end names what does not fit, with the numbers. Bounds are
-wide, as those of `bench.live.plausible`; `bench hall check` looks closer.
+A recording tells at which angle of the encoder each edge came, so `of_edges` sees which number makes them repeat. A run
+counts sectors while edges come later than samples: `ComparedTurns` has their ratio alone, and names what else it may
+be. Their thresholds differ, see `bench.findings.thresholds`.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.findings.finding import Finding
+from bench.findings.thresholds import COMPARED_TURNS, MULTIPLE, OTHER, POLE_PAIR_OFF, RATIO_OFF, ROUNDS, SAME
 from bench.signal.position import wrap
-from bench.signal.waveforms.sectors import SECTOR_WIDTH as SECTOR
-from bench.signal.wiring import AS_SPECIFIED, NONE_KNOWN, explained, tally
+from bench.signal.reference import Turns, repeats
+from bench.signal.trace import Edges
+from bench.signal.waveforms.sectors import SECTOR_WIDTH
 from protocol.streams import EdgeChunk, SampleChunk
 
 BLOCK = 0.25  # s over which Hall sensors and encoder are compared
-TURNS = 3.0  # electrical revolutions from which on they are
-ROUNDS = 2.0  # revolutions of the shaft, from which on half a pole pair shows in the ratio
-RATIO_OFF = 0.25  # of one, by which the ratio may be off before that
 FOLLOWED = math.pi / 2  # electrical rad between two samples, above which an encoder's turns cannot be counted by them
 EDGES_LATE = 0.5  # s that edges may come after samples dated as they are: on CAN they wait for a heartbeat
-PSI_OFF = 0.25  # of psi_f_hat, by which it may be off; likewise of R_s_hat
-LOST = 0.3  # V that dead time and noise may add to a back-EMF
-LEAST_SEEN = 100  # samples in each sector with which wires are judged
 
 
 class _Block(NamedTuple):
@@ -39,7 +37,7 @@ class _Block(NamedTuple):
     turned: float
 
 
-class Turns:
+class ComparedTurns:
     """Electrical revolutions by the Hall sensors beside those by the encoder, in blocks of the drive's own time.
 
     Samples and edges come by different ways and at different times; a block waits for its edges. One beside a gap is
@@ -64,7 +62,7 @@ class Turns:
     @property
     def compared(self) -> bool:
         """Whether it turned far enough, and every edge came in time."""
-        return self._turned_total >= TURNS * math.tau and not self.too_late
+        return self._turned_total >= COMPARED_TURNS * math.tau and not self.too_late
 
     def edges(self, chunk: EdgeChunk, steps: NDArray[np.float64]) -> None:
         """Take in what the Hall sensors showed; `steps`: their `sectors`."""
@@ -98,73 +96,71 @@ class Turns:
     def _compare(self, block: _Block) -> None:
         self._settled = block.end
         first, behind = np.searchsorted(self._ticks, (block.start, block.end), side="right")
-        hall = SECTOR * float(np.nansum(self._steps[first:behind]))
+        hall = SECTOR_WIDTH * float(np.nansum(self._steps[first:behind]))
         lost = bool(np.isnan(self._steps[first : behind + 1]).any())  # before an edge in it, or before the next one
         if abs(hall) > FOLLOWED * block.samples:
             self.too_fast = True
-        elif abs(block.turned) > SECTOR and not lost:
+        elif abs(block.turned) > SECTOR_WIDTH and not lost:
             self._hall_along += math.copysign(hall, hall * block.turned)
             self._turned_total += abs(block.turned)
 
-    def finding(self) -> str:
-        """What is wrong, if they disagree; else empty."""
+    def findings(self) -> Iterator[Finding]:
+        """What is wrong, if they disagree."""
         if not self.compared:
-            return ""
+            return
         ratio, bound, n_p = self._hall_along / self._turned_total, RATIO_OFF, self._n_p
         if n_p is not None and self._turned_total > ROUNDS * n_p * math.tau:
-            bound = min(bound, 0.5 / n_p)
+            bound = min(bound, POLE_PAIR_OFF / n_p)
         if abs(ratio - 1.0) <= bound:
-            return ""
+            return
         turned, hall = self._turned_total / math.tau, self._hall_along / math.tau
-        words = f"the encoder counts {turned:.1f} electrical revolutions, the Hall sensors {hall:.1f} in that direction"
+        cause = "Hall sensors and encoder do not turn alike"
         if n_p is not None and ratio > 0.0 and round(ratio * n_p) not in (0, n_p):
-            words += f": n_p = {n_p} is wrong, or sensors or encoder are ({n_p * ratio:.1f} would fit)"
-        return words
-
-
-class Wires:
-    """The Hall codes over the encoder's angle."""
-
-    def __init__(self) -> None:
-        self._counts = np.zeros((6, 8), np.int64)
-
-    def add(self, theta: NDArray[np.float64], hall: NDArray[np.uint8]) -> None:
-        """Samples: electrical angle, rad, and code. One that is not finite, or no code, tells nothing of the wires."""
-        told = np.isfinite(theta) & (hall < 8)
-        self._counts += tally(theta[told], hall[told])
-
-    def finding(self) -> str:
-        """The wiring, where it is a known fault; else empty."""
-        if self._counts.sum(axis=1).min() < LEAST_SEEN:
-            return ""
-        best, share, _, _ = explained(self._counts)
-        if best in (AS_SPECIFIED, NONE_KNOWN):
-            return ""
-        return f"by the encoder's angle the Hall codes are those of {best} ({100 * share:.0f} % of the samples)"
-
-
-class BackEmf:
-    """The size of the back-EMF over the speed, where it is strong beside what else may be in it."""
-
-    def __init__(self, parameters: Mapping[str, float]) -> None:
-        self._psi, self._R = (parameters.get(name, np.nan) for name in ("psi_f_hat", "R_s_hat"))
-        self._seconds = self._turned = self._emf = self._other = 0.0
-
-    def add(self, seconds: float, emf: float, omega: float, current: float) -> None:
-        """Means over a time: V, electrical rad/s, A."""
-        other = LOST + PSI_OFF * self._R * current
-        if other < PSI_OFF * max(emf, self._psi * omega):
-            self._seconds += seconds
-            self._turned += seconds * omega
-            self._emf += seconds * emf
-            self._other += seconds * other
-
-    def finding(self, least: float) -> str:
-        """What is wrong with psi_f_hat, if anything is and `least` seconds showed it; else empty."""
-        expected = self._psi * self._turned
-        if self._seconds < least or not abs(self._emf - expected) > PSI_OFF * expected + self._other:
-            return ""
-        return (
-            f"psi_f_hat = {1e3 * self._psi:.3g} mV s, but by back-EMF and encoder it is "
-            f"{1e3 * self._emf / self._turned:.3g} mV s: psi_f_hat is wrong, or R_s_hat or n_p"
+            cause = f"n_p = {n_p:g} is wrong, or sensors or encoder are ({n_p * ratio:.1f} would fit)"
+        yield Finding(
+            "turns",
+            cause,
+            (f"the encoder counts {turned:.1f} electrical revolutions, the Hall sensors {hall:.1f} in that direction",),
+            "check the Hall sensors: that tells pole pairs from an encoder that slips",
         )
+
+
+def of_edges(edges: Edges, turns: Turns) -> Iterator[Finding]:
+    """Edges that do not repeat with the encoder's angle."""
+    n_p = turns.n_p
+    if n_p is None or not math.isfinite(turns.ratio):
+        return
+    as_assumed = repeats(edges, 1.0)
+    if as_assumed >= SAME and turns.ratio > MULTIPLE:
+        return
+    measured = n_p * turns.ratio
+    near = range(max(1, math.floor(0.9 * measured - 1.0)), math.ceil(1.1 * measured + 1.0) + 1)
+    fits = {n: repeats(edges, n / n_p) for n in near}
+    best = max(fits, key=fits.__getitem__)
+    counted = (
+        f"{turns.by_hall:.1f} electrical revolutions by the Hall inputs, {turns.total:.1f} by the encoder with "
+        f"n_p = {n_p}: "
+        f"{n_p} x {turns.ratio:.3f} = {measured:.2f} pole pairs"
+    )
+    if best != n_p and fits[best] >= OTHER:
+        yield Finding(
+            "pole_pairs",
+            f"wrong number of pole pairs: {n_p} in the drive, {best} would fit",
+            (
+                counted,
+                f"edges repeat to {_scatter(fits[best])} with {best} pole pairs, to {_scatter(as_assumed)} with {n_p}",
+            ),
+            f"set the drive's parameter n_p to {best}, then check again: edges and wiring can only be checked then",
+        )
+        return
+    yield Finding(
+        "encoder_slips",
+        "the encoder does not follow the shaft: no number of pole pairs makes the edges repeat",
+        (counted, f"edges repeat to {_scatter(fits[best])} at best, with {best} pole pairs"),
+        "look for a slipping coupling, lost counts or a wrong line count",
+    )
+
+
+def _scatter(length: float) -> str:
+    """Scatter of angles whose mean unit vector is so long: Mardia and Jupp, Directional Statistics, 2000, (2.3.11)."""
+    return f"{math.degrees(math.sqrt(max(0.0, -2.0 * math.log(max(length, 1e-12))))):.1f} deg"
