@@ -75,6 +75,16 @@ def test_outputs_off_ends_the_current_and_the_torque_and_lets_the_shaft_coast():
     assert 0.9 * before.omega_m < bench.truth.omega_m < before.omega_m + 1.0
 
 
+def test_speed_control_takes_over_a_shaft_that_turns_without_braking_it():
+    bench = spinning(100.0)
+    bench.setpoint(SetpointMode.CURRENT, 0.5, 0.0)
+    bench.advance(800)
+    omega_m = bench.truth.omega_m
+    bench.setpoint(SetpointMode.SPEED, omega_m)
+    taken = bench.advance(3200).samples["omega_true"]
+    assert taken.min() > 0.9 * taken[0]
+
+
 @pytest.mark.parametrize(("u_dc", "fault"), [(11.0, Fault.UNDERVOLTAGE), (33.0, Fault.OVERVOLTAGE)])
 def test_voltage_faults_keep_the_outputs_off_while_the_cause_stands(u_dc, fault):
     bench = Rig(**{"inverter.u_dc": u_dc, "firmware.protection.u_dc_min": 12.0, "firmware.protection.u_dc_max": 32.0})
