@@ -20,7 +20,7 @@ import pytest
 from bench.accept import plugin
 from bench.accept.collected import RESULT, SCREEN, Screen, is_acceptance_test
 from bench.accept.measuring import value_text
-from bench.accept.results import Measurement, RunResult, Verdict, tightest, untested
+from bench.accept.results import Measurement, RunResult, Verdict, gaps, tightest
 from bench.accept.session import LIMITS_ELSEWHERE
 from bench.errors import BenchError
 from bench.rig.connection import SIM, target_of
@@ -32,6 +32,8 @@ SUITE = Path(__file__).with_name("suite")
 FOREIGN = ("PYTEST_ADDOPTS", "PYTEST_DISABLE_PLUGIN_AUTOLOAD")  # what a user's environment asks of another pytest
 WITHOUT = ("terminal", "cacheprovider", "unraisableexception")
 """Plug-ins of pytest: the teller speaks, nothing is kept, and what Python drops may be a Ctrl-C (`none_dropped`)."""
+SAME_NAME = ("target", "report", "json", "config", "operator", "motor")
+"""Fields of AcceptOptions that are options of the plug-in, with `--bench-` before them."""
 MOST_BAD = 8  # measurements of a test that are told one by one
 
 
@@ -181,29 +183,21 @@ def _arguments(options: AcceptOptions) -> list[str]:
     paths = [path.absolute() for path in options.tests or (SUITE,)]
     inside = all(path.is_relative_to(Path.cwd()) for path in paths)
     root = "." if inside else os.path.commonpath([path if path.is_dir() else path.parent for path in paths])
-    # no capture: a person may be asked; no settings of another project; folders above are none of ours, nor looked into
+    absolute = Path(root).absolute()
+    top = [absolute, *(folder for folder in absolute.parents if (folder / "conftest.py").exists())][-1]
+    places = ["--rootdir", root, "--confcutdir", str(top)]  # else pytest lists every folder above
+    # no capture: a person may be asked; no settings of another project
     arguments = [word for name in WITHOUT for word in ("-p", f"no:{name}")]
-    arguments += ["-s", "-c", os.devnull, "--rootdir", root, "--confcutdir", root, *map(str, paths)]
-    given: tuple[tuple[str, object], ...] = (
-        ("--bench-target", options.target),
-        ("-k", options.keyword),
-        ("--bench-report", options.report),
-        ("--junitxml", options.junit),
-        ("--bench-json", options.json),
-        ("--bench-toml", options.bench_toml),
-        ("--bench-config", options.config),
-        ("--bench-operator", options.operator),
-        ("--bench-motor", options.motor),
-        ("-n", options.jobs if options.jobs > 1 else None),
-    )
-    for name, value in given:
-        if value is not None:
-            arguments += [name, str(value)]
+    arguments += ["-s", "-c", os.devnull, *places, *map(str, paths)]
+    named = {f"--bench-{name}": getattr(options, name) for name in SAME_NAME}
+    named |= {"--bench-toml": options.bench_toml, "-k": options.keyword, "--junitxml": options.junit}
+    named |= {"-n": options.jobs if options.jobs > 1 else None}
     flags = {
         "--bench-yes": options.yes,
         "--bench-allow-skipped": options.allow_skipped,
         "--collect-only": options.list_only,
     }
+    arguments += [word for name, value in named.items() if value is not None for word in (name, str(value))]
     return arguments + [name for name, wanted in flags.items() if wanted]
 
 
@@ -221,7 +215,10 @@ def closing_lines(run: RunResult) -> list[str]:
         tests += " passed"
     measured = _counted([m.verdict for m in run.measurements], "measurement")
     lines = [run.unsafe] if run.unsafe else []
-    lines += [f"not tested: {words}" for words in untested(run)]
+    for gap in gaps(run.tests):
+        if gap.verdict is Verdict.SKIPPED:
+            names = ", ".join(test.name for test in gap.tests)
+            lines.append(f"not tested: {counted(gap.measurements, 'measurement')}: {gap.why} ({names})")
     lines.append(f"{run.verdict}: {tests}, {measured}, {run.wall_seconds:.0f} s on {run.target}")
     if run.verdict is Verdict.INCOMPLETE:
         nothing = all(test.verdict is Verdict.SKIPPED for test in run.tests)

@@ -17,12 +17,13 @@ from bench.rig.outcome import RunOutcome
 from bench.rig.quality import ParameterValue, Quality
 from bench.signal.limits import Limits
 from bench.signal.verdict import Verdict, worst
-from protocol.text import counted
 
 __all__ = [
     "Figure", "Limits", "Measurement", "ParameterValue", "Quality", "RunResult", "TestResult", "Verdict",
-    "run_from_json", "to_json", "untested", "worst",
+    "gaps", "run_from_json", "to_json", "worst",
 ]  # fmt: skip
+
+NOT_TESTED = (Verdict.ABORTED, Verdict.SKIPPED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,18 +146,28 @@ def tightest(measurements: Iterable[Measurement]) -> Measurement | None:
     return min(judged, key=lambda pair: pair[0], default=(0.0, None))[1]
 
 
-def untested(run: RunResult) -> list[str]:
-    """What was not tested, in a line for each reason: how many measurements, and of which tests."""
-    reasons: dict[str, list[TestResult]] = {}
-    for test in run.tests:
-        if test.verdict is Verdict.SKIPPED:
-            reasons.setdefault(test.why, []).append(test)
-    lines = []
-    for why, tests in sorted(reasons.items(), key=lambda pair: -sum(len(test.measurements) for test in pair[1])):
-        count = sum(len(test.measurements) for test in tests)
-        names = ", ".join(test.name for test in tests)
-        lines.append(f"{counted(count, 'measurement')}: {why} ({names})")
-    return lines
+@dataclass
+class Gap:
+    """Tests that were not made, or not to their end, for one reason, and how many measurements they lack for that."""
+
+    verdict: Verdict
+    why: str
+    tests: list[TestResult] = field(default_factory=list)
+    measurements: int = 0
+
+
+def gaps(tests: Iterable[TestResult]) -> list[Gap]:
+    """What was not tested, by its reason: the one with the most measurements first."""
+    found: dict[tuple[Verdict, str], Gap] = {}
+    for test in tests:
+        lacking = [(m.verdict, m.why or test.why) for m in test.measurements if m.verdict in NOT_TESTED]
+        none_lacks = [(test.verdict, test.why)] if test.verdict in NOT_TESTED else []
+        for reason in lacking or none_lacks:
+            gap = found.setdefault(reason, Gap(*reason))
+            gap.measurements += bool(lacking)
+            if test not in gap.tests[-1:]:
+                gap.tests.append(test)
+    return sorted(found.values(), key=lambda gap: -gap.measurements)
 
 
 @dataclass(frozen=True, slots=True)

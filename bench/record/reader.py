@@ -18,17 +18,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.device.heard import ClockRestarted
+from bench.device.heard import ClockRestarted, Missing, Note, ParameterSet
 from bench.device.losses import LOSS_FIELDS, Continuity
 from bench.errors import BenchError
 from bench.files import RRD, is_run, run_folder
 from bench.record import journal, layout
-from bench.record.info import Mark, RunInfo, stream_from_json
+from bench.record.info import Kept, Mark, RunInfo, stream_from_json
 from bench.record.memory import available, in_words
 from bench.record.overview import Overview
 from bench.signal.capture import Capture, gathered
-from bench.signal.chunks import between, join, lost_stretches, narrowed, no_edge_stream, no_edges, of_channels, part
+from bench.signal.chunks import END, LostStretches, between, join, narrowed, no_edge_stream, no_edges, of_channels, part
 from bench.signal.verdict import Verdict
+from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
@@ -43,16 +44,6 @@ _EVENT = tuple(field.name for field in fields(DeviceEvent))
 
 class NotARecordingError(BenchError):
     """A folder that is no run, or of a newer version than this program reads."""
-
-
-@dataclass(frozen=True)
-class ParameterChange:
-    """A parameter that the host has set, at device tick `tick`."""
-
-    tick: int
-    node: int
-    name: str
-    value: float
 
 
 @dataclass(frozen=True)
@@ -139,31 +130,14 @@ class Run:
         return (record for record in found if record is not None and record["kind"] not in without)
 
     def _take(self, records: Iterator[dict[str, Any]]) -> None:
-        events, notes, marks, changes = [], [], [], []
-        self.heartbeats: list[tuple[int, Heartbeat]] = []
-        """By node: each that told anything new."""
-        self.missing: list[tuple[int, int, int, int]] = []
-        """Tick, node, samples and edges that did not come at the end of the streams."""
+        said: list[Kept] = []
         self._reboots: list[tuple[int, int]] = []  # number of the segment that follows, and node
         self.removed: set[int] = set()
         """Numbers of the segments that a ring has let go."""
         for record in records:
             match record["kind"]:
-                case "event":
-                    values = {name: record[name] for name in _EVENT}
-                    events.append(DeviceEvent(**values | {k: float(values[k]) for k in ("arg", "detail")}))
-                case "heartbeat":
-                    self.heartbeats.append((record["from"], _heartbeat(record)))
-                case "note":
-                    notes.append((record["tick"], record["text"], record["level"]))
-                case "mark":
-                    verdict = None if record["verdict"] is None else Verdict(record["verdict"])
-                    marks.append(Mark(record["name"], record["tick"], record["last"], verdict))
-                case "parameter":
-                    value = float(record["value"])
-                    changes.append(ParameterChange(record["tick"], record["from"], record["name"], value))
-                case "missing":
-                    self.missing.append((record["tick"], record["from"], record["samples"], record["edges"]))
+                case "event" | "heartbeat" | "note" | "mark" | "parameter" | "missing":
+                    said.append(_item(record))
                 case "rebooted":
                     self._reboots.append((record["segment"], record["from"]))
                 case "stream":
@@ -183,14 +157,14 @@ class Run:
                     self.lost = dict.fromkeys(LOSS_FIELDS, 0) | record["lost"]
         for number in self.removed:
             self._segments.pop(number, None)
-        self.events = tuple(events)
-        self.notes = tuple((tick, text) for tick, text, _ in notes)
-        """Device tick and text of the host's lines."""
-        self.levels = tuple(level for _, _, level in notes)
-        """Of the notes: INFO, WARN, ERROR."""
-        self.marks = tuple(marks)
+        self.events = tuple(item.event for item in said if isinstance(item, DeviceEventReceived))
+        self.heartbeats = tuple(item for item in said if isinstance(item, HeartbeatReceived))
+        """Each that told anything new."""
+        self.notes = tuple(item for item in said if isinstance(item, Note))
+        self.marks = tuple(item for item in said if isinstance(item, Mark))
         """Stretches that were marked, in the order in which they were."""
-        self.changes = tuple(changes)
+        self.changes = tuple(item for item in said if isinstance(item, ParameterSet))
+        self.missing = tuple(item for item in said if isinstance(item, Missing))
 
     def _add_stream(self, record: Mapping[str, Any]) -> None:
         number = record.get("number", -1 - len(self._configs))  # of a file whose line in the log is damaged: none
@@ -557,7 +531,7 @@ def overviews(run: Run, segment: Segment) -> Iterator[pa.Table]:
 
 
 def _bounds(first: int | None, last: int | None) -> tuple[int, int]:
-    return -1 if first is None else first, 1 << 62 if last is None else last
+    return -1 if first is None else first, END if last is None else last
 
 
 def capture_of(
@@ -583,18 +557,13 @@ def captures(
     has_edges = layout.EDGES in run.names
     none = no_edges(run.config(layout.EDGES) if has_edges else no_edge_stream(info.node, info.tick_hz, info.pwm_hz))
     edges = _Edges(run.pieces(layout.EDGES, first, last) if has_edges else iter(()), none)
-    seen: dict[str, tuple[int, int]] = {}  # oldest and newest tick that were handed out, by stream
+    stretches = LostStretches()
 
     def capture(samples: SampleChunk, until: int | None) -> Capture:
         covered = edges.until(until)
-        lost: list[tuple[int, int, str]] = []
-        for stream, chunk, before in ((layout.SAMPLES, samples, int(samples.tick[0])), (layout.EDGES, covered, -1)):
-            oldest, newest = seen.get(stream, (None, before))
-            lost += lost_stretches(chunk, newest)
-            if len(chunk):
-                seen[stream] = int(chunk.tick[0]) if oldest is None else oldest, int(chunk.tick[-1])
+        lost = stretches.before(samples) + stretches.before(covered)
         if until is None:
-            lost += _lost_at_the_ends(run, first, last, seen)
+            lost += _lost_at_the_ends(run, first, last, stretches)
         return Capture(samples, covered, info.parameters, tuple(lost))
 
     waiting: SampleChunk | None = None
@@ -641,7 +610,7 @@ class _Edges:
 
     def until(self, tick: int | None) -> EdgeChunk:
         """Those up to `tick` that were not handed out yet; None: all that are left."""
-        last = 1 << 62 if tick is None else tick
+        last = END if tick is None else tick
         while not self._held or int(self._held[-1].tick[-1]) <= last:
             piece = next(self._pieces, None)
             if not isinstance(piece, EdgeChunk):
@@ -655,19 +624,38 @@ class _Edges:
 
 
 def _lost_at_the_ends(
-    run: Run, first: int | None, last: int | None, seen: Mapping[str, tuple[int, int]]
+    run: Run, first: int | None, last: int | None, stretches: LostStretches
 ) -> Iterator[tuple[int, int, str]]:
     """What no gap between two records tells: damaged before the first or after the last, or never come at the end."""
     for stream, noun in ((layout.SAMPLES, "samples"), (layout.EDGES, "Hall edges")):
-        oldest, newest = seen.get(stream, (1 << 62, -1))
+        oldest, newest = stretches.seen.get(stream == layout.SAMPLES, (END, -1))
         for a, b, rows in run.damaged(stream, first, last):
             if a > newest or b < oldest:
                 yield a, b, f"{rows} {noun} are damaged from {run.at(a)} to {run.at(b)}"
     low, high = _bounds(first, last)
-    for tick, node, samples, edges in run.missing:
-        lost = [f"{n} {noun}" for n, noun in ((samples, "samples"), (edges, "Hall edges")) if n]
-        if node == run.info.node and low <= tick <= high and lost:
-            yield min(seen[layout.SAMPLES][1], tick), tick, f"{' and '.join(lost)} did not come, at {run.at(tick)}"
+    for missing in run.missing:
+        if missing.node == run.info.node and low <= missing.tick <= high:
+            for since, _, words in stretches.at_the_end(missing.samples, missing.edges, run.info.tick_hz):
+                yield since, max(since, missing.tick), words
+
+
+def _item(record: Mapping[str, Any]) -> Kept:
+    """What was said, of a record of the log."""
+    match record["kind"]:
+        case "event":
+            values = {name: record[name] for name in _EVENT}
+            event = DeviceEvent(**values | {name: float(values[name]) for name in ("arg", "detail")})
+            return DeviceEventReceived(event.node, event)
+        case "heartbeat":
+            return HeartbeatReceived(record["from"], _heartbeat(record))
+        case "note":
+            return Note(record["tick"], record["text"], record["level"])
+        case "parameter":
+            return ParameterSet(record["tick"], record["from"], record["name"], float(record["value"]))
+        case "missing":
+            return Missing(record["tick"], record["from"], record["samples"], record["edges"])
+    verdict = None if record["verdict"] is None else Verdict(record["verdict"])
+    return Mark(record["name"], record["tick"], record["last"], verdict)
 
 
 def _heartbeat(record: Mapping[str, Any]) -> Heartbeat:

@@ -96,8 +96,10 @@ class Recording:
     @cached_property
     def notes(self) -> pd.DataFrame:
         """Lines of the host's log."""
-        rows = [(level, text) for level, (_, text) in zip(self.run.levels, self.run.notes, strict=True)]
-        return self._table([tick for tick, _ in self.run.notes], ("level", "text"), rows)
+        notes = self.run.notes
+        return self._table(
+            [note.tick for note in notes], ("level", "text"), [(note.level, note.text) for note in notes]
+        )
 
     @cached_property
     def changes(self) -> pd.DataFrame:

@@ -12,12 +12,9 @@ from bench.device.counters import DeviceCounters
 from bench.device.heard import Heard, Missing
 from bench.errors import BenchError
 from bench.signal.capture import Capture
-from bench.signal.chunks import between, join, lost_stretches, no_edges
+from bench.signal.chunks import LostStretches, between, join, no_edges
 from protocol.host import HeartbeatReceived
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
-from protocol.text import counted
-
-MAX_TICK = 1 << 62  # that no device reaches
 
 
 class Recorder:
@@ -31,7 +28,7 @@ class Recorder:
         self._drive = drive
         self._samples: list[SampleChunk] = []
         self._edges: list[EdgeChunk] = []
-        self._last_edge = -1
+        self._lost = LostStretches()
 
     # -- sink ---------------------------------------------------------------------------------------------------
 
@@ -39,19 +36,15 @@ class Recorder:
         """Keep samples and edges, follow the drive's own counts, remember what was lost."""
         match item:
             case SampleChunk():
-                before = self.newest if self._samples else int(item.tick[0])
-                self.dropped += lost_stretches(item, before)
+                self.dropped += self._lost.before(item)
                 self._samples.append(item)
             case EdgeChunk():
-                self.dropped += lost_stretches(item, self._last_edge)
-                self._last_edge = int(item.tick[-1])
+                self.dropped += self._lost.before(item)
                 self._edges.append(item)
             case HeartbeatReceived(node=self._drive, heartbeat=heartbeat):
                 self.device.add(heartbeat)
             case Missing(node=self._drive, samples=samples, edges=edges):
-                for n, noun, since in ((samples, "sample", self.newest), (edges, "Hall edge", self._last_edge)):
-                    if n:
-                        self.dropped.append((since, MAX_TICK, f"{counted(n, noun)} after {self._at(since)} were lost"))
+                self.dropped += self._lost.at_the_end(samples, edges, self.tick_hz)
 
     # -- for the rig --------------------------------------------------------------------------------------------
 

@@ -334,6 +334,7 @@ class Rig:
         left = "".join(machine.not_put_back() for machine in self.machines)
         self.not_restored = "; ".join(filter(None, [*map(str, restored), left.removeprefix("; ")]))
         self.unsafe = ""  # but by its last STOP
+        self._note(self.not_restored, "ERROR")
         self._tell(off)
 
     def _tell(self, failures: list[Exception]) -> None:
@@ -343,19 +344,19 @@ class Rig:
             match failure:
                 case OutputsMayBeOn():
                     self.unsafe = self.unsafe or str(failure)
+                    self._note(str(failure), "CRITICAL")
                 case DriveFailed() if self.plan.goes_on:
                     self.tripped = self.tripped or str(failure)
-                case _:
-                    other = other or failure
-        if not self.plan.goes_on:
-            return
-        if other is not None:
-            self.client.sinks = self.client.sinks[:1]
-        for words, level in ((self.unsafe, "CRITICAL"), (self.not_restored, "ERROR")):
-            if words:
-                self.client.note(words, level)
+                    self._note(str(failure), "ERROR")
+                case _ if self.plan.goes_on:
+                    other, self.client.sinks = other or failure, self.client.sinks[:1]
         if other is not None:
             raise other
+
+    def _note(self, text: str, level: str) -> None:
+        """Tell it, in a run that goes on; who gets it raised knows it."""
+        if text and self.plan.goes_on:
+            self.note(text, level)
 
     def close(self) -> None:
         """The end, as `finish` makes it, of recording, link and lock too; what was told to nobody is raised after it.

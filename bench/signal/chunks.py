@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from protocol.messages import StreamEvent
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
+from protocol.text import counted
 
 I64 = NDArray[np.int64]
 Chunk = TypeVar("Chunk", bound=SampleChunk | EdgeChunk)
 
+END = 1 << 62
+"""A tick that no device reaches."""
 _SAMPLE_FIELDS = ("index", "tick", "raw")
 _EDGE_FIELDS = ("index", "tick", "hall_old", "hall_new", "illegal", "encoder")
 
@@ -121,6 +124,32 @@ def lost_stretches(chunk: SampleChunk | EdgeChunk, before: int) -> list[tuple[in
         lost = f"{gap.lost_samples} {noun} were lost before {last / chunk.config.tick_hz:.4f} s"
         found.append((first, last, lost if gap.lost_samples or gap.overrun else kept))
     return found
+
+
+class LostStretches:
+    """What is lost of a drive's samples and edges as they come, as `lost_stretches` gives it."""
+
+    def __init__(self) -> None:
+        self.seen: dict[bool, tuple[int, int]] = {}
+        """Ticks of the oldest and the newest sample (True) and edge (False) so far."""
+
+    def before(self, chunk: SampleChunk | EdgeChunk) -> list[tuple[int, int, str]]:
+        """Lost before the records of a chunk."""
+        samples = isinstance(chunk, SampleChunk)
+        oldest, newest = self.seen.get(samples, (None, int(chunk.tick[0]) if samples else -1))
+        if len(chunk):
+            self.seen[samples] = int(chunk.tick[0]) if oldest is None else oldest, int(chunk.tick[-1])
+        return lost_stretches(chunk, newest)
+
+    def at_the_end(self, samples: int, edges: int, tick_hz: int) -> list[tuple[int, int, str]]:
+        """So many did not come after those that did."""
+        found = []
+        for n, noun, of_samples in ((samples, "sample", True), (edges, "Hall edge", False)):
+            _, newest = self.seen.get(of_samples, (-1, -1))
+            if n:
+                after = "" if newest < 0 else f" after {newest / tick_hz:.4f} s"
+                found.append((newest, END, f"{counted(n, noun)}{after} were lost"))
+        return found
 
 
 def _fields(chunk: SampleChunk | EdgeChunk) -> tuple[str, ...]:

@@ -1,16 +1,15 @@
-"""Rerun: the live view and the recording of a run. The only package that imports rerun.
+"""Rerun: the live view of a run, and a recorded one in it. The only package that imports rerun.
 
     schema      names, units and storage of everything that is logged; imports no rerun
     blocks      collects what arrives into blocks of about 50 ms
     log         writes blocks as rerun data
     dashboard   the views (blueprint)
-    sinks       FileSink and LiveSink: a thread and a stream of their own each
+    sinks       LiveSink: a thread and a stream of its own
     viewer      starts, watches and ends viewer processes
-    salvage     finds the end of what was written whole in a file that was cut short
-    recording   reads a recorded run back, exactly
+    viewing     shows a recorded run, or a part of it
 
-Importing this package costs nothing; `log`, `dashboard` and `recording` import rerun (0.35 s), the others only once
-they are used. Rerun's own log on standard error is off unless RUST_LOG asks for it: what matters in it is said by our
+Importing this package costs nothing; `log`, `dashboard` and `viewing` import rerun (0.35 s), the others only once they
+are used. Rerun's own log on standard error is off unless RUST_LOG asks for it: what matters in it is said by our
 errors.
 """
 

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from bench.device.heard import Chunk, Heard, Missing, Note
+from bench.device.heard import Chunk, Heard, Note
 from bench.device.losses import Continuity, LossAccount
 from bench.errors import RecordingError
 from bench.files import part_of
@@ -29,7 +29,7 @@ from bench.view.blocks import Block, lost_components
 from bench.view.log import RunLog
 from bench.view.plots import plots
 from bench.view.sinks import abandon, new_stream
-from protocol.host import DeviceEventReceived, HeartbeatReceived
+from protocol.host import DeviceEventReceived
 from protocol.messages import EventCode
 
 WINDOW = 0.05  # s that go to rerun in one piece
@@ -202,8 +202,8 @@ def _blocks(run: Run, first: int, last: int) -> Iterator[Block]:
                 account.take(chunk)
             yield said.block(account, min(int(chunk.tick[0]) for chunk in chunks) - 1)
             yield said.block(account, max(int(chunk.tick[-1]) for chunk in chunks), chunks)
-    for tick, node, samples, edges in run.missing:
-        account.take(Missing(tick, node, samples, edges))
+    for missing in run.missing:
+        account.take(missing)
     yield said.block(account, 1 << 62)
 
 
@@ -237,14 +237,12 @@ class _Said:
     """Events, heartbeats and notes of a run, handed out with the samples that they came with."""
 
     def __init__(self, run: Run, first: int, last: int) -> None:
-        notes = [Note(tick, text, level) for (tick, text), level in zip(run.notes, run.levels, strict=True)]
-        beats = [HeartbeatReceived(*pair) for pair in run.heartbeats]
-        events = [DeviceEventReceived(event.node, event) for event in run.events]
-        self._waiting: list[deque[tuple[int, Heard]]] = [
-            deque((event.event.tick, event) for event in events if first <= event.event.tick <= last),
-            deque((beat.heartbeat.tick, beat) for beat in beats if first <= beat.heartbeat.tick <= last),
-            deque((note.tick, note) for note in notes if first <= note.tick <= last),
-        ]
+        said: tuple[list[tuple[int, Heard]], ...] = (
+            [(event.tick, DeviceEventReceived(event.node, event)) for event in run.events],
+            [(beat.heartbeat.tick, beat) for beat in run.heartbeats],
+            [(note.tick, note) for note in run.notes],
+        )
+        self._waiting = [deque(pair for pair in some if first <= pair[0] <= last) for some in said]
 
     def block(self, account: LossAccount, upto: int, chunks: Sequence[Chunk] = ()) -> Block:
         """These chunks, and what was said up to tick `upto`, with the losses up to then."""

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.device.heard import ParameterSet
 from bench.record import layout
 from bench.record.reader import NotARecordingError, Run
 from bench.record.writer import RunWriter
@@ -117,7 +116,7 @@ def unfinished(run: Run, path: Path) -> Path:
     """The same run as a recorder leaves it that is killed before its end."""
     writer = RunWriter(path, run.info)
     for change in run.changes:
-        writer.take(ParameterSet(change.tick, change.node, change.name, change.value))
+        writer.take(change)
     for event in run.events:
         writer.take(DeviceEventReceived(event.node, event))
     for mark in run.marks:

@@ -341,7 +341,7 @@ def test_a_clock_that_jumps_back_without_a_reboot_loses_nothing(tmp_path: Path) 
     assert len(run.samples) > 0.9 * 16000
     assert run.clock_went_back() is not None
     assert abs(run.clock_went_back() - before) < 0.1 * bench.hello.tick_hz
-    assert next(tick for tick, text in run.notes if text == "after it") < before - bench.hello.tick_hz
+    assert next(note.tick for note in run.notes if note.text == "after it") < before - bench.hello.tick_hz
     assert (live.error, live.logged_samples + live.dropped_samples) == (None, len(run.samples))
 
 

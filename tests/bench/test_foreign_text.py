@@ -168,7 +168,7 @@ def test_live_and_what_it_records(on_terminal: Callable[..., tuple[int, str]]) -
     assert CHANNEL_SHOWN in {channel.name for channel in run.info.channels}
     assert len(run.samples.physical(CHANNEL_SHOWN)) == len(run.samples) > 0
     assert r"\x1b[35;5mp\r" in run.info.parameters
-    assert harmless("".join(note for _, note in run.notes))
+    assert harmless("".join(note.text for note in run.notes))
 
 
 @pytest.mark.parametrize("arguments", [

@@ -280,8 +280,10 @@ def test_what_the_drive_or_the_link_does_leaves_nothing_on_unsaid(way: str, comm
     with patch("bench.live.run.RECONNECT", 1.0), patch("bench.device.client.REOPEN_PERIOD", 0.0):
         ended = _run(command, simulated(), happens)
     assert (ended.code, words in ended.text) == (codes[command], True), ended.text
-    if way == "nor does the watchdog switch off":  # what may still be on keeps its lowered limit
-        assert ended.link.left()[1]["1.i_max"] == {"hall": 2.0, "conform": 8.0}.get(command, 3.0)
+    if way == "nor does the watchdog switch off":  # what may still be on keeps its lowered limit, and all else
+        left = ended.link.left()[1]
+        assert left["1.i_max"] == {"hall": 2.0, "conform": 8.0}.get(command, 3.0)
+        assert left["1.k_p_vt"] == {"accept": 123.0, "notebook": 900.0}.get(command, 1268.0)
     if way == "the cable is pulled" and command != "conform":  # which changes nothing
         assert re.search(r"not restored: (k_p_vt \(was 1268\), )?i_max \(was 8\)", ended.text), ended.text
     device = ended.link.device

@@ -45,7 +45,7 @@ def test_what_was_seen_in_each_act_is_what_was_recorded_in_its_last_third(tmp_pa
     samples, hz = recorded.samples, recorded.info.tick_hz
     t = samples.tick / hz
     rpm = samples.physical("omega_enc") * 60 / (2 * math.pi) / 6
-    begins = {text: tick / hz for tick, text in recorded.notes if text in {act.title for act in SHOW}}
+    begins = {text: tick / hz for tick, text, _ in recorded.notes if text in {act.title for act in SHOW}}
     assert [came.title for came in ended.summary.asked] == [act.title for act in SHOW] == list(begins)
     for act, came in zip(SHOW, ended.summary.asked, strict=True):
         last = begins[act.title] + act.seconds

@@ -6,6 +6,7 @@ python -m tests.benchmarks live
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -18,7 +19,7 @@ import psutil
 from bench.record.reader import Run
 from protocol.signals import DRIVE_CHANNELS
 from tests.bench.processes import Sim
-from tests.benchmarks.commands import output
+from tests.benchmarks.memory import Memory
 from tests.benchmarks.table import Row, cost
 
 
@@ -28,24 +29,30 @@ class Live(NamedTuple):
     summary: dict[str, Any]
     streamed: str  # channels and rate, as the recording has them
     drive_cpu: float  # of the simulated drive's process, % of a core
+    memory: Memory  # of the host, meanwhile
 
 
 def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> Live:
-    """Record the simulated drive behind `where` for `seconds`."""
+    """Record the simulated drive behind `where` for `seconds`. RuntimeError, with what was said, if that fails."""
     with tempfile.TemporaryDirectory() as folder, closing(Sim(*where)) as sim:
         drive, file = psutil.Process(sim.process.pid), Path(folder, "run.run")
         command = [sys.executable, "-m", "bench", "live", sim.target, "--yes", "--viewer", "none", *options]
+        command += ["--duration", f"{seconds:g}", "--save", str(file), "--json", "-"]
         before = drive.cpu_times()
-        summary = json.loads(output([*command, "--duration", f"{seconds:g}", "--save", str(file), "--json", "-"]))
-        after = drive.cpu_times()
+        host = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        with closing(Memory(host.pid)) as memory:
+            printed, said = host.communicate()
+        if host.returncode:  # also where the motor did not turn for all of it
+            raise RuntimeError(f"bench live: exit code {host.returncode}\n{said}")
+        summary, after = json.loads(printed), drive.cpu_times()
         streamed = streamed_in(Run(file))
     cpu = 100 * (after.user + after.system - before.user - before.system) / summary["duration_s"]
-    return Live(summary, streamed, cpu)
+    return Live(summary, streamed, cpu, memory)
 
 
 def streamed_in(run: Run) -> str:
-    """Channels and rate of a recording."""
-    config = run.samples.config
+    """Channels and rate of a recording, without all of it."""
+    config = run.drive_streams[0]
     return f"{len(config.channels)} channels at {run.info.pwm_hz / config.decimation / 1000:g} kHz"
 
 
@@ -65,7 +72,7 @@ def account(summary: dict[str, Any]) -> list[Row]:
 def rows(short: bool) -> list[Row]:
     """Run it for a minute; and a third of one with all channels, of which a pty just holds what comes in 7 ms."""
     seconds = 2.0 if short else 60.0
-    summary, streamed, drive_cpu = run(seconds, ["--pty"], ["--speed", "1000"])
+    summary, streamed, drive_cpu, _ = run(seconds, ["--pty"], ["--speed", "1000"])
     every = ",".join(channel.name for channel in DRIVE_CHANNELS)
     whole = run(seconds / 3.0, ["--pty"], ["--speed", "1000", "--channels", every])
     lost = whole.summary["lost"]["samples_by_index"]

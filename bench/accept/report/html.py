@@ -17,7 +17,7 @@ from bench.accept.naming import in_words
 from bench.accept.report import words
 from bench.accept.report.subject import SHOWN, drive, subject
 from bench.accept.report_files import keep_only
-from bench.accept.results import Figure, Measurement, RunResult, TestResult, Verdict, tightest
+from bench.accept.results import Figure, Measurement, RunResult, TestResult, Verdict, gaps, tightest
 from bench.errors import BenchError
 from bench.files import write
 from bench.report.html import embedded, page
@@ -26,7 +26,6 @@ from protocol.text import counted
 NAME = "report.html"
 MOST_ROWS = 12  # of a table on one page; a test of more shows measurements that did not pass and folds the others
 FAILED = (Verdict.FAIL,)
-NOT_TESTED = (Verdict.ABORTED, Verdict.SKIPPED)
 NOT_JUDGED = (Verdict.ERROR, Verdict.INVALID)
 
 
@@ -80,16 +79,6 @@ class _Finding:
     measurement: Measurement | None = None
 
 
-@dataclass
-class _Gap:
-    """Tests that were not made, or not to their end, for one reason."""
-
-    verdict: Verdict
-    why: str
-    tests: list[_Test]
-    measurements: int = 0
-
-
 def write_report(run: RunResult, directory: Path) -> Path:
     """Write `directory`/report.html and return its path; figures are read from `directory`/<their path>.
 
@@ -108,7 +97,8 @@ def write_report(run: RunResult, directory: Path) -> Path:
         subject=subject(run),
         identity={key: value for key, value in run.identity.items() if key not in SHOWN},
         meaning=words.meaning(run),
-        gaps=_gaps(tests),
+        gaps=gaps(run.tests),
+        by_id={test.result.node_id: test for test in tests},
         failed=list(_findings(tests, FAILED)),
         not_judged=list(_findings(tests, NOT_JUDGED)),
         units={parameter.name: parameter.unit for parameter in run.parameters},
@@ -145,24 +135,6 @@ def _embedded(figure: Figure, test: TestResult, directory: Path) -> str:
         return embedded(path)
     except OSError as error:
         raise ReportError(f"figure {path} of test {test.name} cannot be read: {error.strerror}") from None
-
-
-def _gaps(tests: list[_Test]) -> list[_Gap]:
-    """What was not tested, by its reason: the one with the most measurements first."""
-    found: dict[tuple[Verdict, str], _Gap] = {}
-    for test in tests:
-        result = test.result
-        reasons = [(m.verdict, m.why or result.why) for m in result.measurements if m.verdict in NOT_TESTED]
-        if not reasons and result.verdict in NOT_TESTED:
-            reasons, count = [(result.verdict, result.why)], 0
-        else:
-            count = 1
-        for reason in reasons:
-            gap = found.setdefault(reason, _Gap(*reason, []))
-            gap.measurements += count
-            if test not in gap.tests:
-                gap.tests.append(test)
-    return sorted(found.values(), key=lambda gap: -gap.measurements)
 
 
 def _findings(tests: list[_Test], verdicts: tuple[Verdict, ...]) -> Iterator[_Finding]:

@@ -15,6 +15,7 @@ from unittest.mock import patch
 from zlib import crc32
 
 from bench.accept.accept import AcceptOptions, accept
+from bench.cli.output import Progress
 
 FILE = Path(__file__).with_name("bands.toml")
 SEEDS = range(1, 7)
@@ -30,22 +31,8 @@ def read() -> dict[str, tuple[float, float]]:
 def measured(seed: int) -> dict[str, float]:
     """All that the shipped suite measures on the default drive with the noise of a seed."""
     with patch("bench.rig.connection.crc32", lambda test: crc32(test, seed)):
-        run, _ = accept(AcceptOptions(target="sim"), _Quiet())
+        run, _ = accept(AcceptOptions(target="sim"), Progress(status=False))
     return {m.name: m.value for m in run.measurements if m.value is not None}
-
-
-class _Quiet:
-    """A screen that shows nothing."""
-
-    def note(self, text: str) -> None: ...
-
-    def progress(self, text: str) -> None: ...
-
-    def listed(self, name: str, limits: object) -> None: ...
-
-    def pause(self) -> None: ...
-
-    def resume(self) -> None: ...
 
 
 def _band(values: list[float]) -> tuple[float, float]:

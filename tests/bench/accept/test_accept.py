@@ -409,14 +409,18 @@ def test_a_pytest_that_has_nothing_to_do_with_a_bench_is_left_alone(tmp_path: Pa
 
 
 def test_another_pytest_has_no_say(accepting: Accepting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the environment asks of it, and what stands above the tests."""
+    """What the environment asks of it; of the folders above the tests none is listed but for a conftest.py's."""
     monkeypatch.setenv("PYTEST_ADDOPTS", "--color=yes -v")
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
-    (tmp_path / "conftest.py").write_text("raise RuntimeError('of another project')")
+    (tmp_path / "conftest.py").write_text("import pytest\n@pytest.fixture\ndef above(): return 0\n")
     (tmp_path / "below").mkdir()
     monkeypatch.chdir("below")
-    Path("test_own.py").write_text(HEAD + '@limit("x", hi=1)\ndef test_a(measure): measure("x", 0)\n')
+    Path("test_own.py").write_text(HEAD + '@limit("x", hi=1)\ndef test_a(measure, above): measure("x", above)\n')
+    listed, scandir = set(), os.scandir
+    monkeypatch.setattr("os.scandir", lambda path=".": listed.add(Path(path).resolve()) or scandir(path))
     assert accepting(Path("test_own.py")).code == 0
+    assert tmp_path in listed
+    assert not listed & set(tmp_path.parents)
     assert os.environ["PYTEST_ADDOPTS"] == "--color=yes -v"
 
 

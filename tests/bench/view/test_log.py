@@ -32,7 +32,7 @@ def test_errors_stand_out_in_the_log_and_what_follows_does_not(tmp_path: Path) -
         red, green, blue = (int(colour[k : k + 2], 16) for k in (0, 2, 4))
         assert (red > 200 and blue < 100) == (level in ("CRITICAL", "ERROR", "WARN"))
         assert (green < 100) == (level in ("CRITICAL", "ERROR"))
-    assert Run(tmp_path / "a.run").levels == tuple(levels)
+    assert [note.level for note in Run(tmp_path / "a.run").notes] == list(levels)
 
 
 def test_text_that_is_no_unicode_ends_no_recording(tmp_path: Path) -> None:
@@ -41,7 +41,7 @@ def test_text_that_is_no_unicode_ends_no_recording(tmp_path: Path) -> None:
     sink.take(SummaryText("of /dev/\udcff"))
     sink.close()
     run = Run(tmp_path / "a.run")
-    assert (run.notes[0][1], run.summary) == ("no /dev/\udcff\x1b[2J", "of /dev/\udcff")
+    assert (run.notes[0].text, run.summary) == ("no /dev/\udcff\x1b[2J", "of /dev/\udcff")
     (shown,) = column(tmp_path / "a.run", schema.NOTES, "TextLog:text")
     assert shown[1] == ["no /dev/\\udcff\\x1b[2J"]
 

@@ -12,10 +12,13 @@ import pytest
 import synthetic
 from damage import Whole, unfinished
 
-from bench.errors import RecordingError
+from bench.device.heard import ClockRestarted
+from bench.device.losses import LOSS_FIELDS
+from bench.errors import BenchError, RecordingError
 from bench.record import layout
 from bench.record.info import ns_from_tick
 from bench.record.reader import NotARecordingError, Run
+from bench.record.recording import readable
 from bench.record.sink import RunSink
 from bench.record.writer import RunWriter
 from bench.rig.outputs import Outputs
@@ -48,7 +51,7 @@ def test_what_was_said_comes_back(recording: Path, made: synthetic.SyntheticRun)
     assert (run.info.parameters, run.info.identity["drive"]) == ({"n_p": 6.0, "i_max": 8.0}, "synthetic")
     assert run.info.channels == synthetic.CHANNELS
     assert run.events == (DeviceEvent(int(made.tick[0]), EventCode.STATE_CHANGED, 1, 3.0),)
-    assert [text for _, text in run.notes] == ["all of it"]
+    assert [note.text for note in run.notes] == ["all of it"]
     assert run.summary == "# Summary\n\nall well"
 
 
@@ -88,7 +91,24 @@ def test_after_a_reboot_of_the_drive_everything_is_logged_as_before(tmp_path: Pa
     for entity in ("/samples", "/stator/vectors", "/trend", "/health"):
         assert max(twice[entity].values()) >= 2 * max(once[entity].values()) - 2 > 0, entity
     last = [(start * synthetic.PWM_HZ + 47_999) * synthetic.TICKS for start in (100, 0.5)]
-    assert [at for at, _ in Run(paths[1]).notes] == last
+    assert [note.tick for note in Run(paths[1]).notes] == last
+
+
+def test_a_reboot_is_known_though_the_new_time_is_beyond_the_old_one(tmp_path: Path) -> None:
+    """A log that says so needs no ticks that go back, and what lies between two boots is no loss."""
+    first, second = synthetic.SyntheticRun(0.5, start=1.0), synthetic.SyntheticRun(0.5, start=3.0)
+    sink = RunSink(tmp_path / "a.run", synthetic.run_info(), wait=True)
+    reboot = ClockRestarted(1, int(first.tick[-1]))
+    for item in (*first.chunks(), reboot, *second.chunks()):
+        sink.take(item)
+    sink.close()
+    run = Run(tmp_path / "a.run")
+    assert list(run.restarts.values()) == [[reboot, ClockRestarted(1, int(first.edge_tick[-1]))]]
+    assert run.clock_went_back() == reboot.tick
+    assert (run.samples.gaps, run.lost) == ((), dict.fromkeys(LOSS_FIELDS, 0))
+    assert run.samples.raw.tobytes() == first.raw.tobytes() + second.raw.tobytes()
+    with pytest.raises(BenchError, match="it rebooted during the run"):
+        readable(run)
 
 
 def test_an_infinite_sample_costs_a_picture_not_the_recording(tmp_path: Path) -> None:
@@ -122,7 +142,7 @@ def test_a_run_that_ends_in_an_error_leaves_a_whole_file(tmp_path: Path, made: s
     made.feed(*outputs.sinks)
     outputs.close()  # with no end_recording before it
     run = Run(tmp_path / "a.run")
-    assert (run.samples.raw.tobytes(), [text for _, text in run.notes]) == (made.raw.tobytes(), ["all of it"])
+    assert (run.samples.raw.tobytes(), [note.text for note in run.notes]) == (made.raw.tobytes(), ["all of it"])
 
 
 def test_streams_of_two_nodes_and_of_fewer_channels_are_kept_apart(tmp_path: Path) -> None:
