@@ -22,9 +22,8 @@ from scipy.special import stdtrit
 from bench.signal.delays import within_groups
 from bench.signal.position import wrap
 from bench.signal.trace import INPUTS, Edges, Floats
-from bench.signal.waveforms.sectors import SECTORS
+from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS
 from protocol.frames import data_frame
-from sim.observers.hall_speed import SECTOR_WIDTH
 
 if TYPE_CHECKING:
     import pandas as pd

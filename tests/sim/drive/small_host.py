@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from bench.device.client import POLL, Client
+from bench.device.heard import Heard, Note
 from bench.device.node import DRIVE, LOAD, Node
 from bench.signal.chunks import join
 from protocol.links import Link
@@ -27,8 +28,8 @@ from tests.bench.collect import Collector
 
 
 class Kept(Collector):
-    def note(self, text: str, level: str = "INFO") -> None:
-        super().note(f"{level}: {text}")
+    def take(self, item: Heard) -> None:
+        super().take(item._replace(text=f"{item.level}: {item.text}") if isinstance(item, Note) else item)
 
 
 class SmallHost(Client):
