@@ -27,7 +27,6 @@ import pytest
 from tests.choice import commit
 
 KEPT = Path(".campaign")
-GROUP = "real-time"  # tests for one worker; pytest-xdist writes it behind their names, after an @
 NAMES = "HALLBENCH_TESTS_CAMPAIGN_NAMES"  # for tests/conftest.py, in every worker: the campaigns, "" for all
 PASSED = "HALLBENCH_TESTS_CAMPAIGN_PASSED"  # and a file of the tests that need not run again
 
@@ -73,7 +72,7 @@ class Results:
         if report.when == "call" and report.passed:
             self._file.parent.mkdir(exist_ok=True)
             with self._file.open("a") as file:
-                file.write(json.dumps(report.nodeid.removesuffix(f"@{GROUP}")) + "\n")
+                file.write(json.dumps(report.nodeid) + "\n")
         if report.when == "call" or not report.passed:
             names = next((value for key, value in report.user_properties if key == "campaigns"), [])
             self._counts.update((name, report.outcome) for name in names)

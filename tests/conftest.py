@@ -2,13 +2,15 @@
 
 A drive in real time, a watchdog or a viewer needs a core when its time has come. So the tests in real time, which
 mostly wait, go to one worker, one after the other, from the beginning; those that compute run beside them with a lower
-priority. A few need the machine for themselves, and wait until nothing else runs.
+priority. A few need the machine for themselves, and wait until nothing else runs. Tests that share what takes long to
+make go to one worker, too.
 """
 
 from __future__ import annotations
 
 import fcntl
 import functools
+import json
 import os
 import signal
 import tempfile
@@ -16,14 +18,15 @@ from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 
 from tests import campaign, choice, tools
-from tests.campaign import GROUP
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's job in the background begins without Ctrl-C
 
+GROUP = "real-time"  # those for one worker
 LONGEST = 5.0  # s that a test may take without a mark `long` that says why
 
 
@@ -34,10 +37,23 @@ def _locked(path: Path, how: int) -> Iterator[None]:
         yield
 
 
+def _place(run: str, name: str) -> Path:
+    """A file that the workers of a run share."""
+    return Path(tempfile.gettempdir()) / f"hallbench-tests-{run}.{name}"
+
+
 def _kind(item: pytest.Item) -> str:
     if item.get_closest_marker("alone"):
         return "alone"
     return GROUP if item.get_closest_marker("real_time") or item.get_closest_marker("real_links") else "computing"
+
+
+def _group(item: pytest.Item) -> str:
+    """Which tests go to the same worker: those in real time, and those of a module that share a fixture of it."""
+    if _kind(item) == GROUP or "suite_run" in getattr(item, "fixturenames", ()):
+        return GROUP if _kind(item) == GROUP else "suite_run"
+    fixtures = getattr(item, "_fixtureinfo").name2fixturedefs.values()  # noqa: B009
+    return item.path.stem if any(found[-1].scope == "module" for found in fixtures) else ""
 
 
 @contextmanager
@@ -49,7 +65,7 @@ def _turn(kind: str) -> Iterator[None]:
         return
     if kind != GROUP:
         _step_back()
-    door, room = (Path(tempfile.gettempdir()) / f"hallbench-tests-{run}.{name}" for name in ("door", "room"))
+    door, room = _place(run, "door"), _place(run, "room")
     with ExitStack() as stack:
         with _locked(door, fcntl.LOCK_EX):
             stack.enter_context(_locked(room, fcntl.LOCK_EX if kind == "alone" else fcntl.LOCK_SH))
@@ -69,9 +85,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Hand the tests out one by one, so that the workers end together, but those in real time to one of them."""
-    if getattr(config.option, "dist", "no") == "load":
-        config.option.dist = "loadgroup"
+    """Register what needs a plug-in of its own."""
+    if getattr(config.option, "numprocesses", None) and not os.environ.get("PYTEST_XDIST_WORKER"):
+        config.option.testrunuid = config.option.testrunuid or uuid4().hex
+        config.pluginmanager.register(Together(config.option.testrunuid))
     if config.getoption("--campaign"):
         os.environ[choice.CAMPAIGN] = "1"
     config.pluginmanager.register(Order())
@@ -88,9 +105,37 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         kept = [item for item in kept if not item.get_closest_marker("real_links")]
     config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
     items[:] = kept
-    for item in kept:
-        if _kind(item) == GROUP:
-            item.add_marker(pytest.mark.xdist_group(GROUP))
+    if run := os.environ.get("PYTEST_XDIST_TESTRUNUID"):
+        groups = {item.nodeid: group for item in kept if (group := _group(item))}
+        _place(run, f"groups-{os.getpid()}").write_text(json.dumps(groups))
+
+
+class Together:
+    """Hands the tests out one by one, so that the workers end together, and those of a group to one worker.
+
+    pytest-xdist 3.8 has `--dist loadgroup` for that, which pytest 9.2 leaves without a name that it could change.
+    """
+
+    def __init__(self, run: str) -> None:
+        self._run = run
+
+    @pytest.hookimpl(optionalhook=True, tryfirst=True)
+    def pytest_xdist_make_scheduler(self, config: pytest.Config, log: object) -> object:
+        """By scopes, which are the groups."""
+        from xdist.scheduler import LoadScopeScheduling
+
+        run = self._run
+
+        class Scheduling(LoadScopeScheduling):
+            @functools.cached_property
+            def groups(self) -> dict[str, str]:
+                found = sorted(Path(tempfile.gettempdir()).glob(f"hallbench-tests-{run}.groups-*"))
+                return dict(json.loads(found[0].read_text()))
+
+            def _split_scope(self, nodeid: str) -> str:
+                return self.groups.get(nodeid, nodeid)
+
+        return Scheduling(config, log)
 
 
 class Order:
