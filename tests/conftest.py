@@ -137,6 +137,11 @@ class Together:
 
         return Scheduling(config, log)
 
+    def pytest_unconfigure(self) -> None:
+        """Remove what the workers have shared."""
+        for file in Path(tempfile.gettempdir()).glob(f"hallbench-tests-{self._run}.*"):
+            file.unlink(missing_ok=True)
+
 
 class Order:
     """Its own plugin, since what pytest itself puts together by fixtures must be done by then."""

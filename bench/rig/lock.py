@@ -26,7 +26,7 @@ def alone_on(*targets: str) -> Iterator[None]:
             from filelock import FileLock, Timeout
 
             name = f"hallbench-{getpass.getuser()}-{hashlib.sha256(_resolved(target).encode()).hexdigest()[:16]}.lock"
-            lock = FileLock(Path(tempfile.gettempdir()) / name, timeout=0)
+            lock = FileLock(folder() / name, timeout=0)
             try:
                 stack.enter_context(lock)
             except Timeout:
@@ -35,6 +35,11 @@ def alone_on(*targets: str) -> Iterator[None]:
                 words = f"cannot lock {target} for this run: {lock.lock_file}: {error.strerror or error}"
                 raise BenchError(f"{words}; remove that file") from None
         yield
+
+
+def folder() -> Path:
+    """Where the locks of this computer are."""
+    return Path(tempfile.gettempdir())
 
 
 def _resolved(target: str) -> str:

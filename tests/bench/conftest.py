@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 from processes import Program, Sim
@@ -13,6 +14,13 @@ from shared import once
 from virtual_run import RecordingScreen
 
 from bench.accept.accept import AcceptOptions, accept
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _locks_of_this_worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Another worker may use the same made-up target meanwhile. Programs in processes of their own lock as always."""
+    with patch("bench.rig.lock.folder", lambda: tmp_path_factory.getbasetemp()):
+        yield
 
 
 @pytest.fixture

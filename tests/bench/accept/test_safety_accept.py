@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import re
 import signal
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 from accepting import Accepting, SpoiltLink, never_armed
@@ -229,13 +231,14 @@ def test_a_killed_run_ends_by_the_watchdog_and_frees_the_target(
     sim = start_sim("--pty", *PATIENT)
     run = start("accept", sim.target, "--tests", str(accepting.write(ENDLESS)))
     run.line("turning")
-    with pytest.raises(BenchError, match="in use"), alone_on(f"{sim.target}?baud=115200"):
+    where_programs_lock = patch("bench.rig.lock.folder", lambda: Path(tempfile.gettempdir()))
+    with where_programs_lock, pytest.raises(BenchError, match="in use"), alone_on(f"{sim.target}?baud=115200"):
         pass
     run.process.kill()
     unfed = int(sim.line(r"outputs off (\d+) ms after the last ALIVE: watchdog \(node 1").group(1))
     assert 1000 <= unfed <= 1050
     run.end()
-    with alone_on(sim.target):
+    with where_programs_lock, alone_on(sim.target):
         pass
 
 
