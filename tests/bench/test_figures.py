@@ -56,6 +56,7 @@ def currents(theta: np.ndarray) -> dict[str, np.ndarray]:
 # -- spectrum -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long("plots of a long recording")
 @pytest.mark.parametrize("encoder", [True, False])
 def test_the_distortion_is_that_of_the_harmonics(encoder: bool, tmp_path: Path) -> None:
     """At rest, then two steady stretches, of which the longer one counts, with a ramp between them."""
@@ -336,6 +337,7 @@ def test_an_angle_that_turns_too_far_between_samples_is_not_believed(tmp_path: P
     assert "ambiguous" in found["error_by_angle"].why
 
 
+@pytest.mark.long("all plots of a recording")
 def test_files_json_and_the_table(tmp_path: Path) -> None:
     result = plot(DATA / "steady.run", "-o", tmp_path / "out")
     assert result.exit_code == 0, result.output

@@ -45,8 +45,8 @@ def test_an_acceptance_run_says_it_too(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     Path("bench.toml").write_text('station = "bench <3>"\noperator = "nobody"\nconfig = "motor.toml"\n')
     Path("motor.toml").write_text("[motor]\nR_s = 0.2\n")
-    Path("test_own.py").write_text(OWN_TEST)
-    options = ("--tests", "test_own.py", "--report", "out", "--json", "a.json", "--operator", "A. Person")
+    Path("test_stated.py").write_text(OWN_TEST)
+    options = ("--tests", "test_stated.py", "--report", "out", "--json", "a.json", "--operator", "A. Person")
     with pytest.raises(SystemExit) as end:
         main(["accept", "sim", *options])
     assert end.value.code == 0

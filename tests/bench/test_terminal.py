@@ -36,6 +36,7 @@ def test_numbers_are_whole_on_a_terminal_of_any_width(capsys: pytest.CaptureFixt
     assert folded == 2 if columns >= 50 else folded >= 1
 
 
+@pytest.mark.long("a program in a terminal")
 def test_a_list_has_no_status_line() -> None:
     controller, terminal = pty.openpty()
     try:

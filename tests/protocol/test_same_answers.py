@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from small_drive import CHANNELS, PARAMETERS, AloneLink, SmallDrive, edges_at, frames_in, identity, samples
@@ -227,6 +228,7 @@ def test_c_says_what_python_says(steps: list, two_nodes: bool) -> None:
     play(steps, [python, c], fault, compare)
 
 
+@pytest.mark.long("many random sessions")
 @examples(30, 1000, campaign="c")
 @given(st.lists(STEP, min_size=30, max_size=60))
 def test_python_says_what_the_spec_says(steps: list) -> None:

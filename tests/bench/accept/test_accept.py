@@ -415,10 +415,10 @@ def test_another_pytest_has_no_say(accepting: Accepting, tmp_path: Path, monkeyp
     (tmp_path / "conftest.py").write_text("import pytest\n@pytest.fixture\ndef above(): return 0\n")
     (tmp_path / "below").mkdir()
     monkeypatch.chdir("below")
-    Path("test_own.py").write_text(HEAD + '@limit("x", hi=1)\ndef test_a(measure, above): measure("x", above)\n')
+    Path("test_below.py").write_text(HEAD + '@limit("x", hi=1)\ndef test_a(measure, above): measure("x", above)\n')
     listed, scandir = set(), os.scandir
     monkeypatch.setattr("os.scandir", lambda path=".": listed.add(Path(path).resolve()) or scandir(path))
-    assert accepting(Path("test_own.py")).code == 0
+    assert accepting(Path("test_below.py")).code == 0
     assert tmp_path in listed
     assert not listed & set(tmp_path.parents)
     assert os.environ["PYTEST_ADDOPTS"] == "--color=yes -v"

@@ -543,7 +543,7 @@ def test_a_load_machine_on_a_link_of_its_own_is_refused_with_the_simulated_drive
 
 
 def test_a_lock_that_somebody_replaced_by_a_link_is_not_followed(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("bench.rig.lock.folder", lambda: tmp_path)
     with alone_on("tcp:drive:7000"):
         (lock,) = tmp_path.iterdir()
     lock.unlink(missing_ok=True)

@@ -225,6 +225,7 @@ def test_next(drive): pass
 """
 
 
+@pytest.mark.long("two programs in real time")
 def test_a_killed_run_ends_by_the_watchdog_and_frees_the_target(
     start: Callable[..., Program], start_sim: Callable[..., Sim], accepting: Accepting
 ) -> None:

@@ -48,6 +48,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Run:
         return accepting(TESTS)
 
 
+@pytest.mark.long("the first of them runs all tests of the file")
 @pytest.mark.parametrize("name", EXPECTED)
 def test_the_verdict_on_a_test_and_its_reason(ran: Run, name: str) -> None:
     verdict, why = EXPECTED[name]
