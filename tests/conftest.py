@@ -50,10 +50,12 @@ def _kind(item: pytest.Item) -> str:
 
 def _group(item: pytest.Item) -> str:
     """Which tests go to the same worker: those in real time, and those of a module that share a fixture of it."""
-    if _kind(item) == GROUP or "suite_run" in getattr(item, "fixturenames", ()):
-        return GROUP if _kind(item) == GROUP else "suite_run"
-    fixtures = getattr(item, "_fixtureinfo").name2fixturedefs.values()  # noqa: B009
-    return item.path.stem if any(found[-1].scope == "module" for found in fixtures) else ""
+    if _kind(item) == GROUP:
+        return GROUP
+    fixtures = getattr(item, "_fixtureinfo").name2fixturedefs  # noqa: B009
+    if "suite_run" in fixtures:
+        return "suite_run"
+    return item.path.stem if any(found[-1].scope == "module" for found in fixtures.values()) else ""
 
 
 @contextmanager

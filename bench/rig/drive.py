@@ -198,7 +198,7 @@ class Drive(Machine):
             self._set("i_max", self.envelope.current)
 
     @property
-    def watchdog(self) -> float:  # type: ignore[override]
+    def watchdog(self) -> float:
         """s that it waits for ALIVE."""
         return self.parameters.get("watchdog", WATCHDOG)
 

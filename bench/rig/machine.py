@@ -18,8 +18,6 @@ class Machine:
     """Node `node`, within `envelope`."""
 
     title = "the machine"
-    watchdog = WATCHDOG
-    """s that it waits for ALIVE."""
     advice = ""
     """What to do about a watchdog that was not fed, to follow its words."""
     place = ""
@@ -41,6 +39,11 @@ class Machine:
     def name(self) -> str:
         """It, and where it is, to begin a sentence with."""
         return self.title
+
+    @property
+    def watchdog(self) -> float:
+        """s that it waits for ALIVE."""
+        return WATCHDOG
 
     @property
     def state(self) -> DriveState:

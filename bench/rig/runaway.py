@@ -61,7 +61,7 @@ class _Sensor:
         self.over = self.under = 0.0
         self.since = math.inf
 
-    def take(
+    def moved(
         self, time: float, seconds: float, gone: float, margin: float, aims: tuple[float, ...], clean: bool = True
     ) -> None:
         """The shaft has turned by `gone` in `seconds` until `time`; `aims`: speeds that it is brought to.
@@ -139,11 +139,11 @@ class Runaway:
     def by_edges(self, time: float, seconds: float, steps: NDArray[np.float64]) -> None:
         """The Hall sensors went on by `steps` sectors, (n,), in `seconds` of the drive's time, until `time`."""
         gone = SECTOR_WIDTH * float(steps.sum())
-        self._hall.take(time, seconds, gone, self._margin, self._aims, bool((np.abs(steps) == 1).all()))
+        self._hall.moved(time, seconds, gone, self._margin, self._aims, bool((np.abs(steps) == 1).all()))
 
     def by_encoder(self, time: float, seconds: float, gone: float) -> None:
         """The encoder went on by `gone`, electrical rad, in so many s."""
-        self._encoder.take(time, seconds, gone, self._margin, self._aims)
+        self._encoder.moved(time, seconds, gone, self._margin, self._aims)
 
     def judge(self, now: float) -> None:
         """Whether all that was taken until `now` is a runaway."""
@@ -240,7 +240,7 @@ class RunawayGuard(Runaway):
         time, seconds = int(block.tick[-1]) / block.config.tick_hz, len(block) / block.config.rate
         for sensor, channel in ((self._encoder, self._omega), (self._own, self._estimate)):
             if channel and math.isfinite(speed := _median(block, channel)):
-                sensor.take(time, seconds, speed * seconds, self._margin, self._aims)
+                sensor.moved(time, seconds, speed * seconds, self._margin, self._aims)
         if self._theta and not block.gaps:
             fastest = 0.5 * math.pi * block.config.rate  # whose direction the samples of an angle tell
             if max(map(abs, self._encoder.bounds(self._margin))) < fastest:
