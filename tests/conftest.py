@@ -1,9 +1,8 @@
 """Lets several workers share the suite (`pytest -n 3`), and tells at the end what was skipped and what took long.
 
-A drive in real time, a watchdog or a viewer needs a core when its time has come. So the tests in real time, which
-mostly wait, go to one worker, one after the other, from the beginning; those that compute run beside them with a lower
-priority. A few need the machine for themselves, and wait until nothing else runs. Tests that share what takes long to
-make go to one worker, too.
+A drive in real time, a watchdog or a viewer needs a core when its time has come, and a worker beside it that computes
+takes it away, whatever its priority. So every test holds a lock of its kind while it runs, which others of that kind
+share. Those in real time come last, two beside one another. Tests that share what takes long to make go to one worker.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from tests import campaign, choice, tools
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's job in the background begins without Ctrl-C
 
-GROUP = "real-time"  # those for one worker
+KINDS = ("computing", "real-time")
 LONGEST = 5.0  # s that a test may take without a mark `long` that says why
 
 
@@ -45,13 +44,13 @@ def _place(run: str, name: str) -> Path:
 def _kind(item: pytest.Item) -> str:
     if item.get_closest_marker("alone"):
         return "alone"
-    return GROUP if item.get_closest_marker("real_time") or item.get_closest_marker("real_links") else "computing"
+    return "real-time" if item.get_closest_marker("real_time") or item.get_closest_marker("real_links") else "computing"
 
 
 def _group(item: pytest.Item) -> str:
-    """Which tests go to the same worker: those in real time, and those of a module that share a fixture of it."""
-    if _kind(item) == GROUP:
-        return GROUP
+    """Which tests go to the same worker: those in real time, the long ones and the others, and what shares a fixture of its module."""
+    if _kind(item) == "real-time":
+        return "real-time, long" if item.get_closest_marker("long") else "real-time"
     fixtures = getattr(item, "_fixtureinfo").name2fixturedefs  # noqa: B009
     if "suite_run" in fixtures:
         return "suite_run"
@@ -60,24 +59,20 @@ def _group(item: pytest.Item) -> str:
 
 @contextmanager
 def _turn(kind: str) -> Iterator[None]:
-    """Hold the machine for a test of this kind; who waits for it alone lets nobody else in meanwhile."""
+    """Hold the machine for a test of this kind; who waits for it lets nobody else in meanwhile."""
     run = os.environ.get("PYTEST_XDIST_TESTRUNUID")
     if run is None:
         yield
         return
-    if kind != GROUP:
-        _step_back()
-    door, room = _place(run, "door"), _place(run, "room")
+    door, *rooms = (_place(run, name) for name in ("door", *KINDS))
     with ExitStack() as stack:
-        with _locked(door, fcntl.LOCK_EX):
-            stack.enter_context(_locked(room, fcntl.LOCK_EX if kind == "alone" else fcntl.LOCK_SH))
+        with _locked(door, fcntl.LOCK_EX), ExitStack() as waiting:
+            for room, others in zip(rooms, KINDS, strict=True):
+                if others == kind:
+                    stack.enter_context(_locked(room, fcntl.LOCK_SH))
+                else:  # until they are done
+                    (stack if kind == "alone" else waiting).enter_context(_locked(room, fcntl.LOCK_EX))
         yield
-
-
-@functools.cache
-def _step_back() -> None:
-    """From now on this worker gets what those in real time leave."""
-    os.nice(19)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -90,6 +85,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Register what needs a plug-in of its own."""
     if getattr(config.option, "numprocesses", None) and not os.environ.get("PYTEST_XDIST_WORKER"):
         config.option.testrunuid = config.option.testrunuid or uuid4().hex
+        config.option.loadscopereorder = False
         config.pluginmanager.register(Together(config.option.testrunuid))
     if config.getoption("--campaign"):
         os.environ[choice.CAMPAIGN] = "1"
@@ -150,9 +146,9 @@ class Order:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Those in real time first, then long ones; last those that need the machine."""
+        """Long tests first, those in real time last."""
         slow = {item for item in items if item.get_closest_marker("slow")}
-        items.sort(key=lambda item: ((GROUP, "computing", "alone").index(_kind(item)), item not in slow))
+        items.sort(key=lambda item: ((*KINDS, "alone").index(_kind(item)), item not in slow))
 
 
 @pytest.hookimpl(wrapper=True)
