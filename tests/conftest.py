@@ -48,7 +48,7 @@ def _kind(item: pytest.Item) -> str:
 
 
 def _group(item: pytest.Item) -> str:
-    """Which tests go to the same worker: those in real time, the long ones and the others, and what shares a fixture of its module."""
+    """Which tests go to the same worker: long ones in real time, others, those that share a fixture of their module."""
     if _kind(item) == "real-time":
         return "real-time, long" if item.get_closest_marker("long") else "real-time"
     fixtures = getattr(item, "_fixtureinfo").name2fixturedefs  # noqa: B009
