@@ -1,13 +1,13 @@
 """How many small mistakes in the code the suite catches: mutants of cosmic-ray, chosen by a seed.
 
     pip install 'hallbench[mutants]'
-    python -m tests.mutants map TREE                   runs the suite of this checkout: which test runs which line
     python -m tests.mutants choose TREE OTHER > FILE   mutants whose line and function both checkouts have
+    python -m tests.mutants reach TREE FILE            runs the suite of this checkout: which test comes to which mutant
     python -m tests.mutants try TREE FILE              how many of them the suite of this checkout catches
 
-A checkout has its own `.venv`. `choose` takes --seed and --count. `try` gives a mutant to the tests that run its line,
-the quick ones first, for some minutes at most; a test that fails without the mutant too has caught nothing. What was
-tried is kept beside the map in TREE/.mutants: a trial that was interrupted goes on where it was.
+A checkout has its own `.venv`. `choose` takes --seed and --count. `try` gives a mutant to the tests that come to its
+line, the quick ones first, for --most seconds; a test that fails without the mutant too has caught nothing. What was
+tried is kept in TREE/.mutants: a trial goes on where it was, and one with more seconds tries what was missed again.
 """
 
 from __future__ import annotations
@@ -15,102 +15,105 @@ from __future__ import annotations
 import argparse
 import ast
 import json
-import os
 import random
 import re
 import shutil
 import subprocess
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-import pytest
-
 FOLDER = ".mutants"
 PLACES = ("bench/**/*.py", "protocol/**/*.py", "sim/config/*.py", "sim/ports/*.py", "sim/drive/*.py", "sim/*.py")
-COMPILED = ("sim/native.py", "sim/numba_cache.py", "sim/drive/tick.py", "protocol/compiled_framing.py")
+COMPILED = ("sim/native.py", "sim/numba_cache.py", "protocol/compiled_framing.py")
 UNUSED = ("RemoveDecorator", "VariableReplacer", "VariableInserter")  # operators whose mutants say little
-MOST = 240.0  # s of tests, by the times of the map, that a mutant is given to
-RUN = [".venv/bin/python", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist"]
+RUN = [".venv/bin/python", "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+
+Mutant = dict[str, str]  # function, before, after; file: where choose found it, other: in the other checkout
 
 
-# -- map: as a plug-in of pytest in the checkout -----------------------------------------------------------------------
+# -- reach ------------------------------------------------------------------------------------------------------------
+
+PROBE = '''"""Writes down which test comes to which mutant, and how long a test takes."""
+import json, os
+
+seen = set()
+
+def at(mutant):
+    test = os.environ.get("PYTEST_CURRENT_TEST", "")
+    if (mutant, test) not in seen:
+        seen.add((mutant, test))
+        write([mutant, test])
+
+def write(row):
+    with open(NAME, "a") as file:
+        file.write(json.dumps(row) + "\\n")
+
+def pytest_runtest_logreport(report):
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        write([report.nodeid, report.duration])
+'''
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Measure which lines each test runs, in this process and in those that it starts."""
-    import coverage
-
-    folder = Path(config.rootpath, FOLDER)
-    if os.environ.get("PYTEST_XDIST_WORKER") or not getattr(config.option, "numprocesses", None):
-        here = [str(config.rootpath)]
-        measured = coverage.Coverage(folder / "data", data_suffix=True, source=here, config_file=False)
-        config.pluginmanager.register(_Measured(measured))
-    if not os.environ.get("PYTEST_XDIST_WORKER"):
-        config.pluginmanager.register(_Times(folder / "times.jsonl"))
+def copied(tree: Path, name: str) -> Path:
+    """A copy of the checkout, what is installed in its `.venv` among it."""
+    copy = tree / FOLDER / name
+    shutil.rmtree(copy, ignore_errors=True)
+    ignored = shutil.ignore_patterns(FOLDER, ".git", ".*_cache", "wt")
+    shutil.copytree(tree, copy, symlinks=True, ignore=ignored)
+    for script in (copy / ".venv/lib").glob("python*/site-packages/*hallbench*"):
+        _point(script, str(tree), str(copy))
+    return copy
 
 
-class _Measured:
-    """Coverage with a context for each test."""
-
-    def __init__(self, measured: Any) -> None:
-        self._measured = measured
-        measured.start()
-        os.environ["COVERAGE_PROCESS_START"] = f"{measured.config.data_file}.rc"  # for processes that tests start
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
-        self._measured.switch_context(item.nodeid)
-        return (yield)
-
-    def pytest_unconfigure(self) -> None:
-        self._measured.stop()
-        self._measured.save()
-
-
-class _Times:
-    """A line of JSON for each phase of each test."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        with self._file.open("a") as file:
-            file.write(json.dumps([report.nodeid, report.duration]) + "\n")
+def reach(tree: Path, mutants: list[Mutant], workers: str) -> None:
+    """Run the suite of `tree` with a probe before each mutant's statement; the rows are in TREE/.mutants/reached."""
+    copy, rows = copied(tree, "reach"), tree / FOLDER / "reached"
+    rows.unlink(missing_ok=True)
+    for file in {_file(tree, mutant) for mutant in mutants}:
+        source = (tree / file).read_text()
+        lines = source.splitlines()
+        probes = {(_statement(source, _line(source, mutant)), k) for k, mutant in enumerate(mutants)
+                  if _file(tree, mutant) == file}  # fmt: skip
+        for before, mutant in sorted(probes, reverse=True):
+            indent = re.match(" *", lines[before - 1])[0]  # type: ignore[index]
+            lines.insert(before - 1, f'{indent}__import__("mutant_probe").at({mutant})')
+        (copy / file).write_text("\n".join(lines) + "\n")
+    packages = next((copy / ".venv/lib").glob("python*")) / "site-packages"
+    (packages / "mutant_probe.py").write_text(PROBE.replace("NAME", repr(str(rows))))
+    subprocess.run([*RUN, "-n", workers, "-p", "mutant_probe"], cwd=copy)
 
 
-def make_map(tree: Path) -> None:
-    """Run the suite of `tree`, and keep which tests run which line."""
-    import coverage
+def _file(tree: Path, mutant: Mutant) -> str:
+    """Where this checkout has the mutant's function."""
+    return next(name for name in (mutant["file"], mutant["other"]) if (tree / name).exists())
 
-    folder = tree / FOLDER
-    folder.mkdir(exist_ok=True)
-    (folder / "data.rc").write_text(
-        f"[run]\ndata_file = {folder}/data\nparallel = true\nsigterm = true\nsource = {tree}\n"
-        "context = ${PYTEST_CURRENT_TEST-}\n"
-    )
-    packages = next((tree / ".venv/lib").glob("python*")) / "site-packages"
-    (packages / "coverage_of_children.pth").write_text("import coverage; coverage.process_startup()\n")
-    plugin = folder / "plugin"
-    plugin.mkdir(exist_ok=True)
-    shutil.copy(__file__, plugin / "mutants.py")  # `tests` itself has folders named as the packages
-    here = {**os.environ, "PYTHONPATH": str(plugin)}
-    subprocess.run([*RUN[:4], "-n", "2", "-p", "mutants"], cwd=tree, env=here)
-    (packages / "coverage_of_children.pth").unlink()
-    every = coverage.Coverage(data_file=folder / "data", config_file=False)
-    every.combine([str(folder)])
-    data, lines = every.get_data(), {}
-    for file in data.measured_files():
-        tests = {
-            line: sorted({context.split(" (")[0].lstrip("|") for context in contexts} - {""})
-            for line, contexts in data.contexts_by_lineno(file).items()
-        }
-        lines[str(Path(file).relative_to(tree))] = tests
-    (folder / "lines.json").write_text(json.dumps(lines))
+
+def _line(source: str, mutant: Mutant) -> int:
+    """The mutant's line."""
+    lines = source.splitlines()
+    inside = [span for name, *span in _functions(source) if name == mutant["function"]]
+    rows = [row for first, last in inside for row in range(first, last + 1)]
+    return next(row for row in rows if lines[row - 1].strip() == mutant["before"])
+
+
+def _statement(source: str, line: int) -> int:
+    """The line at which the statement round a line begins; 0 if a probe cannot stand there."""
+    lines = source.splitlines()
+    found = 0
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or node.lineno):
+            head = (
+                lines[node.lineno - 1].lstrip().startswith(("elif", "else"))
+                or lines[node.lineno - 1][: node.col_offset].strip()
+            )
+            if not head and node.lineno > found:
+                found = 0 if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) else node.lineno
+    return found
 
 
 # -- choose -----------------------------------------------------------------------------------------------------------
@@ -123,7 +126,7 @@ def _functions(source: str) -> Iterator[tuple[str, int, int]]:
             yield node.name, node.lineno, node.end_lineno or node.lineno
 
 
-def _mutant(file: Path, rng: random.Random) -> tuple[int, str] | None:
+def _mutated(file: Path, rng: random.Random) -> tuple[int, str] | None:
     """A line of the file, counted from 1, and what becomes of it: any place, then any operator that has one there."""
     from cosmic_ray.ast import ast_nodes, get_ast
     from cosmic_ray.mutating import mutate_code
@@ -163,11 +166,12 @@ def _plain(source: str) -> str:
     return ast.dump(tree)
 
 
-def choose(tree: Path, other: Path, seed: int, count: int) -> list[dict[str, str]]:
+def choose(tree: Path, other: Path, seed: int, count: int) -> list[Mutant]:
     """`count` mutants: function, its line and what becomes of it, and the file in each checkout."""
     rng = random.Random(seed)
     files = [file for place in PLACES for file in sorted(tree.glob(place))]
     files = [file for file in files if str(file.relative_to(tree)) not in COMPILED]
+    files = [file for file in files if "import kernel" not in file.read_text()]
     weights = [len(file.read_text().splitlines()) for file in files]
     there: defaultdict[tuple[str, str], set[str]] = defaultdict(set)
     for file in (found for place in PLACES for found in other.glob(place)):
@@ -175,10 +179,10 @@ def choose(tree: Path, other: Path, seed: int, count: int) -> list[dict[str, str
         for name, first, last in _functions(text):
             for line in text.splitlines()[first - 1 : last]:
                 there[name, line.strip()].add(str(file.relative_to(other)))
-    found: list[dict[str, str]] = []
+    found: list[Mutant] = []
     while len(found) < count:
         file = rng.choices(files, weights)[0]
-        mutant = _mutant(file, rng)
+        mutant = _mutated(file, rng)
         if mutant is None:
             continue
         at, after = mutant
@@ -186,7 +190,7 @@ def choose(tree: Path, other: Path, seed: int, count: int) -> list[dict[str, str
         before = text.splitlines()[at - 1].strip()
         inside = [name for name, first, last in _functions(text) if first <= at <= last]
         elsewhere = there.get((inside[-1], before), set()) if inside else set()
-        if len(elsewhere) == 1:
+        if len(elsewhere) == 1 and _statement(text, at):
             found.append({"function": inside[-1], "before": before, "after": after.strip(),
                           "file": str(file.relative_to(tree)), "other": elsewhere.pop()})  # fmt: skip
     return found
@@ -198,46 +202,44 @@ def choose(tree: Path, other: Path, seed: int, count: int) -> list[dict[str, str
 class Trial:
     """Gives mutants to the tests of a checkout; two at a time, each in a copy of its own."""
 
-    def __init__(self, tree: Path) -> None:
-        self.tree = tree
-        self.lines = json.loads((tree / FOLDER / "lines.json").read_text())
+    def __init__(self, tree: Path, most: float) -> None:
+        self.tree, self.most = tree, most
         self.times = Counter[str]()
-        for line in (tree / FOLDER / "times.jsonl").read_text().splitlines():
-            test, seconds = json.loads(line)
-            self.times[test] += seconds
+        self.reached: defaultdict[int, set[str]] = defaultdict(set)
+        prepared: defaultdict[int, set[str]] = defaultdict(set)  # files of tests whose fixtures come to the mutant
+        for line in (tree / FOLDER / "reached").read_text().splitlines():
+            what, value = json.loads(line)
+            if isinstance(what, str):
+                self.times[what] += value
+            elif value.endswith("(setup)"):
+                prepared[what].add(value.split("::")[0])
+            else:
+                self.reached[what].add(value.removesuffix(" (call)").removesuffix(" (teardown)"))
+        for mutant, files in prepared.items():
+            self.reached[mutant] |= {test for test in self.times if test.split("::")[0] in files}
         self.copies: SimpleQueue[Path] = SimpleQueue()
         for name in ("one", "two"):
-            copy = tree / FOLDER / name
-            shutil.rmtree(copy, ignore_errors=True)
-            shutil.copytree(tree, copy, symlinks=True, ignore=shutil.ignore_patterns(FOLDER, ".git", ".*_cache", "wt"))
-            for script in (copy / ".venv/lib").glob("python*/site-packages/*hallbench*"):
-                _point(script, str(tree), str(copy))
-            self.copies.put(copy)
+            self.copies.put(copied(tree, name))
 
-    def tests(self, file: str, line: int) -> list[str]:
+    def tests(self, number: int) -> list[str]:
         """Which tests to run, the quickest first, while their times fit."""
-        runs = [test for test in self.lines.get(file, {}).get(str(line), []) if test in self.times]
         chosen, seconds = [], 0.0
-        for test in sorted(runs, key=lambda test: self.times[test]):
+        for test in sorted(self.reached[number] & self.times.keys(), key=lambda test: self.times[test]):
             seconds += self.times[test]
-            if seconds > MOST:
+            if seconds > self.most:
                 break
             chosen.append(test)
         return chosen
 
-    def outcome(self, mutant: dict[str, str]) -> str:
+    def outcome(self, number: int, mutant: Mutant) -> str:
         """What caught it: a test, "timeout", or "" if nothing did."""
-        copy = self.copies.get()
-        file = next(name for name in (mutant["file"], mutant["other"]) if (self.tree / name).exists())
+        copy, file = self.copies.get(), _file(self.tree, mutant)
         original = (self.tree / file).read_text()
+        lines = original.splitlines()
+        at = _line(original, mutant) - 1
+        lines[at] = lines[at].replace(mutant["before"], mutant["after"])
+        tests = self.tests(number)
         try:
-            lines = original.splitlines()
-            inside = [span for name, *span in _functions(original) if name == mutant["function"]]
-            rows = [row for first, last in inside for row in range(first, last + 1)]
-            at = next(row for row in rows if lines[row - 1].strip() == mutant["before"])
-            indent = lines[at - 1][: len(lines[at - 1]) - len(lines[at - 1].lstrip())]
-            lines[at - 1] = indent + mutant["after"]
-            tests = self.tests(file, at)
             while tests:
                 (copy / file).write_text("\n".join(lines) + "\n")
                 failed = self._failed(copy, tests)
@@ -255,8 +257,9 @@ class Trial:
         names = copy / FOLDER
         names.write_text("\n".join(tests))
         limit = 120.0 + 5.0 * sum(self.times[test] for test in tests)
+        command = [*RUN, "-x", "-p", "no:xdist", f"@{names}"]
         try:
-            ended = subprocess.run([*RUN, f"@{names}"], cwd=copy, capture_output=True, text=True, timeout=limit)
+            ended = subprocess.run(command, cwd=copy, capture_output=True, text=True, timeout=limit)
         except subprocess.TimeoutExpired:
             return "timeout"
         if ended.returncode == 0:
@@ -267,49 +270,54 @@ class Trial:
 
 def _point(path: Path, old: str, new: str) -> None:
     """Have what an editable install left name another folder."""
-    for file in [path] if path.is_file() else path.glob("*"):
+    for file in [path] if path.is_file() else (found for found in path.rglob("*") if found.is_file()):
         text = file.read_text()
         if old in text:
             file.write_text(text.replace(old, new))
 
 
-def try_all(tree: Path, mutants: list[dict[str, str]]) -> None:
+def try_all(tree: Path, mutants: list[Mutant], most: float) -> None:
     """Try them, and say how many were caught."""
-    kept = tree / FOLDER / "tried.jsonl"
+    kept = tree / FOLDER / "tried"
     done = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    known = {json.dumps(mutant): caught for mutant, caught in done}
-    trial = Trial(tree)
+    known = {number: caught for number, caught, seconds in done if caught or seconds >= most}
+    trial = Trial(tree, most)
 
-    def one(mutant: dict[str, str]) -> str:
-        if (caught := known.get(json.dumps(mutant))) is None:
-            caught = trial.outcome(mutant)
+    def one(numbered: tuple[int, Mutant]) -> str:
+        number, mutant = numbered
+        if (caught := known.get(number)) is None:
+            caught = trial.outcome(number, mutant)
             with kept.open("a") as file:
-                file.write(json.dumps([mutant, caught]) + "\n")
+                file.write(json.dumps([number, caught, most]) + "\n")
         print(f"{'caught' if caught else 'MISSED'} {mutant['file']} {mutant['function']}: "
               f"{mutant['before']} -> {mutant['after']}  {caught}", flush=True)  # fmt: skip
         return caught
 
     with ThreadPoolExecutor(2) as pool:
-        caught = list(pool.map(one, mutants))
+        caught = list(pool.map(one, enumerate(mutants)))
     print(f"{sum(map(bool, caught))} of {len(caught)} caught")
 
 
 def main() -> None:
     """See the module."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("map", "choose", "try"))
+    parser.add_argument("what", choices=("choose", "reach", "try"))
     parser.add_argument("tree", type=Path)
-    parser.add_argument("second", type=Path, nargs="?")
+    parser.add_argument("second", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--most", type=float, default=30.0, help="s of tests that a mutant is given to")
+    parser.add_argument("--workers", default="3", help="of the suite that `reach` runs")
     given = parser.parse_args()
-    tree = given.tree.resolve()
-    if given.what == "map":
-        make_map(tree)
-    elif given.what == "choose":
-        json.dump(choose(tree, given.second.resolve(), given.seed, given.count), sys.stdout, indent=1)
+    tree, second = given.tree.resolve(), given.second.resolve()
+    if given.what == "choose":
+        json.dump(choose(tree, second, given.seed, given.count), sys.stdout, indent=1)
+        return
+    mutants = json.loads(second.read_text())
+    if given.what == "reach":
+        reach(tree, mutants, given.workers)
     else:
-        try_all(tree, json.loads(given.second.read_text()))
+        try_all(tree, mutants, given.most)
 
 
 if __name__ == "__main__":
