@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 from protocol import __version__
@@ -18,6 +19,7 @@ def versions() -> dict[str, str]:
     return found | {"platform": platform.platform()}
 
 
+@cache  # a recording needs them, and reading them takes 10 ms
 def _version(package: str) -> str:
     try:
         return version(package)
