@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from unittest.mock import patch
 
 import click
@@ -16,6 +17,7 @@ from virtual_run import WatchedLink, reached_by, simulated
 
 from bench.cli import cli
 from bench.cli.live import Observer
+from bench.record.reader import Run
 from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
@@ -98,6 +100,21 @@ def test_devices_tells_drives_apart_by_serial_and_build(capsys: pytest.CaptureFi
     drive, load = out.splitlines()[1:]
     assert "  33FFD8054D48383611571943  9f2c61e µ  IDLE" in drive
     assert load.count("not told") == 2
+
+
+def test_a_run_in_parts(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    with reached_by(WatchedLink(simulated())):
+        out, _ = bench(
+            capsys, "live", "serial:x", "--duration", "12", "--save", str(tmp_path / "a.run"), "--split", "10s",
+            "--viewer", "none", "--channels", "hall,theta_enc,i_q", "--json", "-",
+        )  # fmt: skip
+    summary = json.loads(out)
+    assert summary["recording"]["parts"] == 2
+    first, second = (Run(tmp_path / f"a-00{k}.run") for k in (1, 2))
+    assert 0 <= len(first.samples) - 160_000 < 8_000  # whole chunks
+    assert second.samples.index[0] == first.samples.index[-1] + 1
+    assert len(first.samples) + len(second.samples) == summary["samples"]
+    assert "# Summary" in second.summary
 
 
 def test_live_as_json_is_all_that_goes_to_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
