@@ -11,6 +11,7 @@ from pathlib import Path
 
 from bench.errors import BenchError
 from bench.rig.connection import SIM
+from protocol.links.target import parse_target
 
 
 @contextmanager
@@ -25,8 +26,8 @@ def alone_on(*targets: str) -> Iterator[None]:
                 continue
             from filelock import FileLock, Timeout
 
-            name = f"hallbench-{getpass.getuser()}-{hashlib.sha256(_resolved(target).encode()).hexdigest()[:16]}.lock"
-            lock = FileLock(folder() / name, timeout=0)
+            place = hashlib.sha256(parse_target(target).place.encode()).hexdigest()[:16]
+            lock = FileLock(folder() / f"hallbench-{getpass.getuser()}-{place}.lock", timeout=0)
             try:
                 stack.enter_context(lock)
             except Timeout:
@@ -40,10 +41,3 @@ def alone_on(*targets: str) -> Iterator[None]:
 def folder() -> Path:
     """Where the locks of this computer are."""
     return Path(tempfile.gettempdir())
-
-
-def _resolved(target: str) -> str:
-    """The target without what may be written in several ways: a serial port by its device, no options."""
-    kind, _, rest = target.partition(":")
-    place = rest.partition("?")[0]
-    return f"{kind}:{Path(place).resolve() if kind == 'serial' else place}"

@@ -9,6 +9,7 @@ import socket
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from protocol.errors import TargetError
@@ -60,6 +61,11 @@ class Target(ABC):
         """Targets of this kind that are on this machine, or how they begin: what a shell completes."""
         return []
 
+    @property
+    @abstractmethod
+    def place(self) -> str:
+        """Where one program may be at a time: the same for all ways to write it."""
+
 
 @dataclass(frozen=True, slots=True)
 class SerialTarget(Target):
@@ -85,6 +91,11 @@ class SerialTarget(Target):
     def here() -> list[str]:
         """See `Target.here`."""
         return [f"serial:{port}" for port in _ports()]
+
+    @property
+    def place(self) -> str:
+        """See `Target.place`: the device, whatever links lead there."""
+        return str(Path(self.port).resolve())
 
     def __str__(self) -> str:
         return f"serial:{self.port}" + (f"?baud={self.baud}" if self.baud != DEFAULT_BAUD else "")
@@ -115,6 +126,12 @@ class TcpTarget(Target):
     def here() -> list[str]:
         """See `Target.here`."""
         return ["tcp:127.0.0.1:"]
+
+    @property
+    def place(self) -> str:
+        """See `Target.place`; names are not looked up."""
+        host = self.host.lower()
+        return f"tcp:{join_host_port('127.0.0.1' if host == 'localhost' else host, self.port)}"
 
     def __str__(self) -> str:
         return f"tcp:{join_host_port(self.host, self.port)}"
@@ -166,6 +183,13 @@ class CanTarget(Target):
         """See `Target.here`; serial ports are also those of slcan adapters."""
         buses = [f"can:socketcan/{name}" for _, name in socket.if_nameindex() if "can" in name]
         return buses + [f"can:slcan/{port}" for port in _ports()]
+
+    @property
+    def place(self) -> str:
+        """See `Target.place`: the bus, or the serial port of its adapter."""
+        if self.channel is not None and self.channel.startswith("/"):
+            return str(Path(self.channel).resolve())
+        return f"can:{self.interface}/{self.channel}"
 
     @property
     def rates(self) -> BusRates:

@@ -25,7 +25,7 @@ from processes import ENVIRONMENT, LIMIT
 from test_prompt import on_terminal
 
 from bench.rig.interrupts import none_dropped
-from tests.choice import CAMPAIGN
+from tests.choice import CAMPAIGN, sampled
 
 pytestmark = pytest.mark.slow
 
@@ -114,12 +114,12 @@ def check(ended: Ended, *codes: int) -> None:
 
 
 LATE = pytest.mark.campaign("interrupts")
-ENERGISING = ("live", "accept", "hall check")
-"""Commands that the suite tries; the others are a campaign's."""
+ENERGISING = sampled("interrupts", ("live", "accept", "hall check"), 1, campaign="interrupts")
+OTHERS = [pytest.param(name, marks=LATE) for name in COMMANDS if name not in ("live", "accept", "hall check")]
 
 
 @pytest.mark.long("a process for each moment")
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in ENERGISING else LATE) for name in COMMANDS])
+@pytest.mark.parametrize("name", ENERGISING + OTHERS)
 def test_ctrl_c_ends_a_command_at_any_moment(name: str, drive_run: Path, tmp_path: Path, start_sim: object) -> None:
     known = {"RUN": str(drive_run)}
     if "SIM" in COMMANDS[name]:

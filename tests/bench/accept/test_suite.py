@@ -57,7 +57,7 @@ def test_an_untouched_drive_passes_everything_and_everything_is_explained(untouc
 def test_it_measures_our_drive_as_it_did(untouched: RunResult) -> None:
     """Outside is a change that somebody made, and no verdict."""
     known, values = bands.read(), {m.name: m.value for m in untouched.measurements}
-    assert known.keys() == values.keys(), "write the bands anew: python -m tests.bench.accept.bands"
+    assert known.keys() == values.keys(), "write the bands anew: python tests/bench/accept/bands.py"
     off = {n: (known[n], v) for n, v in values.items() if v is not None and not known[n][0] <= v <= known[n][1]}
     assert off == {}
 

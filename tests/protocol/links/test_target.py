@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from protocol.canmap import ids
@@ -126,3 +128,26 @@ def test_refuses_in_one_line(text: str, parts: list[str]) -> None:
     assert "\n" not in message
     for part in parts:
         assert part in message
+
+
+def test_however_one_place_is_written_it_is_one(tmp_path: Path) -> None:
+    port = tmp_path / "ttyACM0"
+    port.touch()
+    (tmp_path / "by-id").symlink_to(port)
+    one = ("serial:{}/ttyACM0", "serial:{}/by-id?baud=3000000", "serial:{}/../{name}/ttyACM0")
+    for same in (
+        [way.format(tmp_path, name=tmp_path.name) for way in one],
+        ["tcp:localhost:7000", "tcp:127.0.0.1:7000", "tcp:LOCALHOST:7000"],
+        ["can:socketcan/can0", "can:socketcan/can0?node=2", "can:socketcan/can0?bitrate=500000"],
+        ["serial:/dev/ttyACM9", "can:slcan/dev/ttyACM9", "can:slcan/dev/ttyACM9?fd=1"],
+    ):
+        assert len({parse_target(text).place for text in same}) == 1
+    others = [
+        "tcp:127.0.0.1:7001",
+        "tcp:[::1]:7000",
+        "can:socketcan/can1",
+        "can:virtual/can0",
+        "can:",
+        f"serial:{tmp_path}",
+    ]
+    assert len({parse_target(text).place for text in others}) == len(others)
