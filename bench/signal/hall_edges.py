@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import stdtrit
 
 from bench.signal.delays import within_groups
 from bench.signal.position import wrap
@@ -181,6 +180,8 @@ def _passages(off: Floats, omega: Floats, centre: float, delay: float, spread: f
 
 def _t(freedom: int) -> float:
     """Two-sided quantile of Student's t, at `CONFIDENCE`, with `freedom` >= 1 degrees."""
+    from scipy.special import stdtrit  # 0.2 s that no start of `bench live` is to pay
+
     return float(stdtrit(freedom, (1.0 + CONFIDENCE) / 2.0))
 
 

@@ -171,6 +171,6 @@ def test_help_imports_neither_numba_nor_rerun() -> None:
 
 
 def test_live_imports_numba_only_for_observers_on_the_host_and_no_configuration_of_a_simulated_drive() -> None:
-    code = "import sys, bench.live.run; print({'numba', 'pydantic', 'sim.config'} & set(sys.modules))"
+    code = "import sys, bench.live.run; print({'numba', 'pydantic', 'scipy', 'sim.config'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=LIMIT, env=ENVIRONMENT)
     assert done.stdout == "set()\n"
