@@ -1,6 +1,6 @@
 """An independent, slow implementation of the wire: written from SPEC.md, sharing nothing with `protocol`.
 
-The vectors are made with it, and the fast implementation is compared with it.
+Whole frames of the vectors are compared with it, and the fast implementation is.
 """
 
 from __future__ import annotations
@@ -60,9 +60,6 @@ def fields(*values: tuple[str, object]) -> bytes:
             out += str(value).encode().ljust(int(kind[4:]), b"\0")
         elif kind == "pad":
             out += b"\0" * int(str(value))
-        elif kind == "bytes":
-            assert isinstance(value, bytes)
-            out += value
         else:
             assert isinstance(value, int)
             out += value.to_bytes(KINDS[kind], "little")
@@ -92,40 +89,3 @@ def receive(data: bytes) -> list[bytes]:
         if crc == crc32(head) and int.from_bytes(head[4:6], "little") == len(head) - 8:
             out.append(head)
     return out
-
-
-DLC_LENGTHS = [*range(9), 12, 16, 20, 24, 32, 48, 64]
-
-
-def fd_padded(data: bytes) -> bytes:
-    """Fill with zeros to a length that a CAN FD frame can have."""
-    while len(data) not in DLC_LENGTHS:
-        data += b"\0"
-    return data
-
-
-def can_frames(body_: bytes, fd: bool, transfer: int) -> list[bytes]:
-    """Return the data of the CAN frames of header + payload."""
-    rest = body_[:6] + body_[8:]
-    most = 63 if fd else 7
-    if len(rest) > most:
-        rest += crc32(body_).to_bytes(4, "little")
-    parts = []
-    while rest or not parts:
-        parts.append(rest[:most])
-        rest = rest[most:]
-    frames = []
-    for n, part in enumerate(parts):
-        tail = transfer % 32
-        tail += 128 if n == 0 else 0
-        tail += 64 if n == len(parts) - 1 else 0
-        tail += 32 if n % 2 == 0 else 0
-        if fd:
-            part = fd_padded(part + b"\0")[:-1]
-        frames.append(part + bytes([tail]))
-    return frames
-
-
-def can_id(kind: int, node: int, slot: int, extended: bool = False) -> int:
-    """Return an identifier; an extended one has bit 31 set."""
-    return kind * 256 + node * 16 + slot + (0x80000000 + 0x02421000 if extended else 0)

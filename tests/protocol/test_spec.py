@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 import struct
 from collections.abc import Iterator
 
+import hbp_reference as reference
 import make_spec
 import pytest
-from make_vectors import table_after
 
 from protocol import messages
 from protocol.framing import Frame, encode_frame
@@ -17,6 +18,7 @@ from protocol.streams import EDGE_RECORD, STREAM_HEADER
 from protocol.validity import RECORD_BYTES
 
 TEXT = make_spec.SPEC.read_text(encoding="utf-8")
+MESSAGES = make_spec.SPEC.with_name("vectors") / "messages.json"
 HEADER_NAMES = ["stream", "flags", "n", "cfg_id", "seq", "index", "tick"]  # of STREAM_HEADER
 RECORD = struct.Struct("<HBBHHff16s")  # of the descriptor
 RECORD_NAMES = ["id", "type", "unit", "flags", "reserved", "scale", "offset", "name"]
@@ -45,6 +47,39 @@ def rows_of(layout: struct.Struct, names: list[str]) -> list[list[str]]:
         [str(at), f"pad {unit[:-1] or 1}", ""] if unit.endswith("x") else [str(at), CODES[unit], next(left)]
         for at, unit in walk(layout)
     ]
+
+
+def table_after(mark: str) -> list[list[str]]:
+    """Return off, type and field of each row of the byte table of SPEC.md that follows a mark."""
+    assert TEXT.count(mark) == 1, mark
+    table = TEXT.split(mark, 1)[1].split("| off ", 1)[1].split("\n\n", 1)[0]
+    return [[cell.strip() for cell in line.strip("|").split("|")][:3] for line in table.splitlines()[2:]]
+
+
+def laid_out(message: str, values: dict) -> bytes:
+    """Return a message's bytes as its table has them."""
+    out, left = b"", set(values)
+    mark = "`ErrorReply`, with the flags" if message == "ErrorReply" else f"`{message}`\n\n"
+    for offset, kind, name in table_after(mark):
+        assert int(offset) == len(out)
+        value = values.get(name)
+        if kind.startswith("pad"):
+            out += bytes(int(kind[4:]))
+        elif kind:
+            out += reference.fields((kind, len(value) if isinstance(value, list) else value))
+        elif name == "u16 each":
+            out += reference.fields(*(("u16", number) for number in values["channels"]))
+        else:
+            out += bytes.fromhex(value) if name == "data" else value.encode()
+        left.discard(name)
+    assert not left
+    return out
+
+
+@pytest.mark.parametrize("case", json.loads(MESSAGES.read_text(encoding="utf-8")), ids=lambda case: case["name"])
+def test_vectors_of_messages_are_as_the_tables_say(case: dict) -> None:
+    payload = laid_out(case["name"], case["fields"]) if case["fields"] else b""
+    assert bytes.fromhex(case["body_hex"])[8:] == payload
 
 
 KINDS = sorted(
