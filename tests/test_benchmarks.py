@@ -15,7 +15,7 @@ from tests.benchmarks import __main__ as command
 from tests.benchmarks import page, reference
 from tests.benchmarks.last import Measured, read, slower, text_of
 from tests.benchmarks.parts import LONG, PARTS
-from tests.benchmarks.table import LeftOut, Row, cost, speed
+from tests.benchmarks.table import Row, cost, speed
 
 PAGE = "# Page\n\n<!-- benchmarks: begin -->\nold\n<!-- benchmarks: end -->\n\nMore.\n"
 GOOD = speed("reading", 400.0, "frames/s", 300)
@@ -137,16 +137,6 @@ def test_a_broken_part_is_a_failure_and_the_others_run(
     assert "Traceback" in captured.err
     assert ("two" in parts.kept) != short
     assert parts.kept["one"] == before
-
-
-def test_a_part_that_is_not_installed_is_left_out_and_keeps_its_figures(
-    parts: Parts, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command.main([])
-    parts.rows["one"] = raising(LeftOut("no such package"))
-    assert command.main([]) == 0
-    assert "left out: no such package" in capsys.readouterr().out
-    assert parts.kept["one"].rows[0].measured == 400.0
 
 
 def test_parts_that_were_not_run_keep_their_figures_in_their_place(parts: Parts) -> None:

@@ -21,7 +21,6 @@ PARTS = {
     "fixed_point": "Fixed point: 16 bits beside floating point, same telemetry",
     "decode": "Decode: bytes to numpy columns, CRC checked, one core",
     "sim": "Simulated drive in virtual time, one core",
-    "peers": "Other simulators: the same motor at 16 kHz",
     "live": "Live: the simulated drive behind a pty, recorded",
     "can": "CAN: stream frames to numpy columns, and a run over slcan, recorded",
     "slcan": "slcan: its text, and reading a full CAN FD bus",

@@ -9,10 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 
-class LeftOut(Exception):
-    """A part cannot be measured here: what it is about is not installed."""
-
-
 @dataclass(frozen=True, slots=True)
 class Row:
     """One figure. `goal` is the least it may be, or with `at_most`, where less is better, the most.
