@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_drive import CHANNELS, TICKS, identity, pack_edges, samples, small_link
+from small_drive import CHANNELS, TICKS, identity, samples
 
 from protocol.descriptor import Descriptor
-from protocol.device.session import TxQueue
 from protocol.errors import RemoteProtocolError
 from protocol.messages import StreamEvent, StreamReply, StreamSet
-from protocol.streams import DISCONTINUITY, EdgeDecoder, SampleDecoder, StreamConfig, TickReference
+from protocol.streams import DISCONTINUITY, SampleDecoder, StreamConfig, TickReference
 from protocol.wire import Decoder
 
 DESCRIPTOR = Descriptor.of(CHANNELS, [])
@@ -175,44 +174,3 @@ def test_the_configuration_must_agree_with_the_descriptor() -> None:
         of(3, 0, 3, 1)
     with pytest.raises(RemoteProtocolError, match=r"no channels with the ids \[99\]"):
         of(3, 10, 3, 99)
-
-
-edge_batches = st.lists(st.integers(0, 5), min_size=1, max_size=30)
-
-
-@given(edge_batches, st.lists(st.booleans(), min_size=80, max_size=80), st.integers(0, 2000))
-def test_edge_loss_is_exact(batches: list[int], arrives: list[bool], before: int) -> None:
-    """Edges through a real device: what is missing is counted by the running index."""
-    link, device, _ = small_link(TxQueue())
-    device.push_edges(edges(0, before))  # before the stream starts: not sent, but counted
-    request = StreamSet(1, StreamEvent.EDGES, 1, 0)
-    reply = device.streams.configure(request, 100)
-    device.streams.start(2)
-    link.data_to_send()
-    frames, total = [], before
-    for n in batches:
-        device.push_edges(edges(total, n))
-        total += n
-        device.advance(total)
-        wire = link.data_to_send()
-        frames += [raw for raw in reference.receive(b"\0" + wire + b"\0") if raw[0] == 0x41]
-    got = [raw for raw, keep in zip(frames, arrives, strict=False) if keep]
-    if not got:
-        return
-    decoder = EdgeDecoder(StreamConfig.of(identity(), request, reply, DESCRIPTOR), TickReference())
-    chunk = decoder.decode(got)
-    assert len(chunk) == decoder.counters.samples
-    assert (chunk.tick == 1_000_003 * chunk.index).all()
-    assert (chunk.hall_old == chunk.index % 8).all()
-    assert (chunk.hall_new == (chunk.index + 1) % 8).all()
-    assert (chunk.encoder == chunk.index % 65536).all()
-    first_frame = frames.index(got[0])
-    inside = chunk.index[-1] - chunk.index[0] + 1 - len(chunk)
-    assert decoder.counters.lost_by_index == inside + first_frame  # before the first: at least one each
-    assert decoder.counters.lost_by_seq == frames.index(got[-1]) + 1 - len(got)
-
-
-def edges(first: int, n: int) -> np.ndarray:
-    k = first + np.arange(n)
-    old, new = (k % 8).astype(np.uint8), ((k + 1) % 8).astype(np.uint8)
-    return pack_edges(k * 1_000_003, old, new, k % 5 == 0, k)

@@ -66,30 +66,6 @@ def test_every_sample_and_edge_arrives_with_its_time(
     assert bus.wire.counters.stale == bus.wire.counters.foreign == bus.wire.counters.bad == 0
 
 
-@pytest.mark.parametrize(("rates", "names", "decimation"), CASES)
-def test_lost_frames_are_counted_exactly(rates: BusRates, names: tuple[str, ...], decimation: int) -> None:
-    bus = pair(rates, names, decimation)
-    rng = np.random.default_rng(2)
-    lost = {"samples": 0, "edges": 0}
-
-    def lose(records: np.ndarray) -> np.ndarray:
-        gone = (rng.random(len(records)) < 0.2) & (kinds(records) >= 4) & (bus.periods > 800) & (bus.periods < 9600)
-        lost["samples"] += int((gone & (kinds(records) >= 5)).sum())
-        lost["edges"] += int((gone & (kinds(records) == 4)).sum())
-        return records[~gone]
-
-    bus.run(800)
-    bus.run(10_000, tuple(range(1, 10_000, 13)), spoil=lose)
-    got, counters = bus.account(decimation)
-    assert counters.lost_by_seq == lost["samples"] > 4
-    assert counters.lost_by_index >= lost["samples"] / len(bus.decoders[0].ids) * got.config.block
-    assert sum(gap.lost_samples for chunk in bus.chunks[0] for gap in chunk.gaps) == counters.lost_by_index
-    assert all(0 <= gap.position < len(chunk) for chunk in bus.chunks[0] for gap in chunk.gaps)
-    edges = bus.decoders[1].counters
-    assert edges.lost_by_index == edges.lost_by_seq == lost["edges"] > 50
-    assert edges.samples + edges.lost_by_index == bus.edges_made
-
-
 def test_a_group_that_never_comes_costs_its_samples_and_no_memory() -> None:
     bus = pair(CLASSIC, ALL, 40)
     bus.run(400)
