@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -111,29 +110,6 @@ def test_where_nothing_can_be_kept_it_compiles(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setattr(numba_cache.Locator, "from_function", classmethod(lambda cls, function, file: None))
     assert filled(native(fresh), 1.0) == 4.0
     assert not is_kept(fresh)
-
-
-COLD = """
-from sim import compile
-from sim.native import Cells
-from sim.observers.catalogue import CATALOGUE
-from sim.numba_cache import compiled_for_c
-import sim.native
-def here(function, arguments):
-    assert sim.native.is_kept(function), "compiled in this process"
-    return compiled_for_c(function, arguments)
-sim.native.compiled_for_c = here
-compile.tell_by(lambda text: print(text, flush=True))
-CATALOGUE["sector_centre"].function.load()
-"""
-
-
-@pytest.mark.campaign("kernels")  # tests/bench/test_embedded.py has a child that compiles, a bare machine all of it
-def test_a_child_compiles_and_tells_how_far_it_is(tmp_path: Path) -> None:
-    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    ended = subprocess.run([sys.executable, "-c", COLD], capture_output=True, text=True, check=False, env=env)
-    assert (ended.returncode, ended.stderr) == (0, "")
-    assert ended.stdout.startswith("compiling, once on this machine: 0 of 1 functions, 0 s\n")
 
 
 def test_functions_are_found_by_their_names_and_others_compiled_here(fresh: FunctionType) -> None:

@@ -10,7 +10,6 @@ import errno
 import itertools
 import os
 import pty
-import select
 import socket
 import threading
 import time
@@ -26,16 +25,14 @@ import pytest
 from can_ends import opened, read
 from can_rows import CLASSIC_MESSAGES, FD_MESSAGES, records, records_of, standard, untimed
 
-from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, BusRates
+from protocol.canmap.frame import CAN_RECORD, ERROR, EXTENDED, BusRates
 from protocol.errors import HbpError, LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.framing import Frame
 from protocol.links import CanTarget, open_link, parse_target
 from protocol.links import can as can_link
 from protocol.links.can import CanLink
 from protocol.links.can_open import bus_arguments
-from protocol.links.slcan_bus import SlcanBus
 from protocol.messages import Hello
-from sim.ports.slcan_port import SlcanPort
 
 pytestmark = pytest.mark.slow
 
@@ -488,38 +485,6 @@ def test_text_that_is_no_slcan_is_no_loss(adapter: tuple[int, str]) -> None:
         os.write(master, b"\rt0010\r")
         assert read(link, 1)["id"].tolist() == [1]
         assert link.health.malformed > 1000
-
-
-def obey(port: SlcanPort) -> bytes:
-    """Let the emulated adapter read what the host has written."""
-    assert select.select(port.read_fds(), [], [], 5.0)[0]
-    return port.read()
-
-
-@pytest.mark.parametrize(
-    ("query", "rates", "flags"), [("", BusRates(1_000_000), 0), ("?fd=1", BusRates(1_000_000, 5_000_000), FDF | BRS)]
-)
-def test_an_adapter_left_at_other_rates_gets_the_usual_ones(
-    bare: Path, query: str, rates: BusRates, flags: int
-) -> None:
-    path = bare / "ttyCAN"
-    port = SlcanPort(path, rates)
-    before = SlcanBus(str(path), bitrate=125_000, data_bitrate=2_000_000)
-    obey(port)
-    frame = records((0x123, b"ab", flags))
-    port.write(frame)
-    assert port.mismatched == 1  # it does run at those
-    before.shutdown()
-    obey(port)
-    with opened(f"can:slcan/{path}{query}") as link:
-        assert link.rates == rates
-        assert obey(port) == b""
-        link.write(frame)
-        assert obey(port) == frame
-        port.write(frame)
-        assert read(link, 1)["id"].tolist() == [0x123]
-        assert (port.mismatched, port.refused) == (1, 0)
-    port.unplug()
 
 
 # What is not here, and python-can's configuration
