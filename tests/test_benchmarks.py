@@ -168,23 +168,6 @@ def test_neither_the_short_form_nor_a_look_nor_an_interrupted_run_is_kept(parts:
     assert (parts.last.read_text(), parts.page.read_text()) == before
 
 
-def test_the_tables_stand_between_their_marks(parts: Parts) -> None:
-    rows = [GOOD, cost("way", 12345.6, "s", 8), Row("error", 0.123456, "deg"), Row("lost", 0, "", 0, at_most=True)]
-    assert page.with_tables(PAGE, {"one": measured(*rows)}) == (
-        "# Page\n\n<!-- benchmarks: begin -->\n"
-        "### Part one\n\n"
-        "`one`, 2026-11-23, Python 3.11.7, 2 cores, x86_64, reference kernel 50.0 ms\n\n"
-        "| | measured | goal | |\n|---|---|---|---|\n"
-        "| reading | 400 frames/s | at least 300 | reached |\n"
-        "| way | 12,346 s | at most 8 | **MISSED** |\n"
-        "| error | 0.1235 deg |  |  |\n"
-        "| lost | 0 | at most 0 | reached |\n\n"
-        "<!-- benchmarks: end -->\n\nMore.\n"
-    )
-    with pytest.raises(ValueError, match="benchmarks: begin"):
-        page.with_tables("# Page\n", {})
-
-
 def test_every_part_has_its_module_its_figures_and_its_table() -> None:
     text = command.LAST.read_text("utf-8")
     last = read(text)

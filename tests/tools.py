@@ -39,7 +39,7 @@ class Tool:
     """`attempt` uses the tool in an empty folder and raises Missing; `brought_by` is a command that installs it."""
 
     name: str
-    attempt: Callable[[Path], None]
+    attempt: Callable[[Path], object]
     brought_by: str
 
 
@@ -70,13 +70,9 @@ def compiles(command: str, suffix: str = ".c", source: str = PROGRAM, runs: bool
     return attempt
 
 
-def says(*command: str) -> Callable[[Path], None]:
+def says(*command: str) -> Callable[[Path], str]:
     """A trial that only asks for the version: of tools that come whole or not at all."""
-    return lambda _: void(run(*command))
-
-
-def void(_: object) -> None:
-    """Drop a result."""
+    return lambda _: run(*command)
 
 
 def _any_compiler(folder: Path) -> None:
@@ -145,8 +141,8 @@ TOOLS = {
 
 
 @functools.cache
-def _found(name: str) -> str:
-    """Why a tool is missing, "" if it works; tried once in a test run, whichever worker asks first."""
+def missing(name: str) -> str:
+    """Why a tool of TOOLS cannot be used here, "" if it can; tried once in a test run, whichever worker asks first."""
     run_id = os.environ.get("PYTEST_XDIST_TESTRUNUID")
     if run_id is None:
         return _tried(TOOLS[name])
@@ -168,11 +164,6 @@ def _tried(tool: Tool) -> str:
         except Missing as why:
             return str(why)
     return ""
-
-
-def missing(name: str) -> str:
-    """Why a tool of TOOLS cannot be used here; "" if it can."""
-    return _found(name)
 
 
 def require(name: str) -> None:

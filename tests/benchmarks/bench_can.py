@@ -1,25 +1,21 @@
-"""CAN: decoding of stream frames beside cantools, and a whole run over slcan at more than 5000 frames a second.
+"""CAN: decoding of stream frames, and a whole run over slcan at more than 5000 frames a second.
 
 python -m tests.benchmarks can
 
 Frames are decoded as the host does it: rows of CAN_RECORDs as they come from a link, sorted to their stream, to numpy
-columns with index, tick and account of losses. cantools decodes the same frames with the DBC that we write.
+columns with index, tick and account of losses.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from types import SimpleNamespace
 
-import cantools
 import numpy as np
 
-from bench.device.dbc import NodeStream, dbc_text
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
-from protocol.canmap.ids import CanClass
 from protocol.descriptor import Descriptor
 from protocol.device.app import Identity
 from protocol.device.tx import TxQueue
@@ -38,7 +34,6 @@ FD = BusRates(1_000_000, 5_000_000)
 BATCHES = (60, 500)  # frames: 12 ms and 100 ms of a busy CAN FD bus
 BEAT = 1600  # PWM periods between heartbeats
 FRAMES = 100_000
-OF_CANTOOLS = 20_000  # of them: it is slow
 CHANNELS = ("hall", "status", "theta_enc", "i_a", "i_b", "i_c", "theta_vt", "omega_vt")
 
 
@@ -79,29 +74,14 @@ def ours(rates: BusRates, config: StreamConfig, data: bytes, batch: int, repeat:
     return len(data) / RECORD_BYTES / best[""]
 
 
-def theirs(rates: BusRates, config: StreamConfig, data: bytes) -> float:
-    """Return the frames/s of cantools."""
-    database = cantools.database.load_string(dbc_text([NodeStream("drive", config)], rates, False), "dbc")
-    records = np.frombuffer(data, CAN_RECORD)
-    records = records[records["id"] >> 8 >= CanClass.SAMPLES][:OF_CANTOOLS]
-    frames = [(int(record["id"]), record["data"][: record["length"]].tobytes()) for record in records]
-    start = time.perf_counter()
-    for number, content in frames:
-        database.decode_message(number, content)  # type: ignore[union-attr]
-    return len(frames) / (time.perf_counter() - start)
-
-
 def _decoding(frames: int, repeat: int) -> Iterator[Row]:
     for names, rates in ((("i_a",), CLASSIC), (CHANNELS, FD)):
         data, config = recorded(rates, names, frames)
         what = f"{rates}, {config.block} samples of {counted(len(config.channels), 'channel')} a frame"
-        slow = theirs(rates, config, data)
         for batch in BATCHES:
             fast = ours(rates, config, data, batch, repeat)
             goal = GOAL if batch == BATCHES[-1] else None
             yield speed(f"{what}, {batch} at a time", fast / 1e3, "k frames/s", goal)
-        yield speed(f"{what}, cantools", slow / 1e3, "k frames/s")
-        yield Row(f"{what}: ours is", fast / slow, "x quicker")
 
 
 def rows(short: bool) -> Iterator[Row]:
