@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import json
-import os
 import re
-import select
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import IO
 
@@ -137,24 +134,6 @@ def test_its_hall_sensors_are_healthy(start: Callable[..., Program], on_a_pty: P
         finally:
             drive.kill()
     assert any(line.startswith("HEALTHY") for line in check.out)
-
-
-@QEMU
-def test_a_drive_in_qemu_ends_with_who_started_it(in_qemu: Path) -> None:
-    script = (
-        "import ctypes, subprocess, sys\n"
-        f"child = lambda: ctypes.CDLL(None).prctl({PR_SET_PDEATHSIG}, {int(signal.SIGKILL)})\n"
-        "p = subprocess.Popen(sys.argv[1:], preexec_fn=child, stdout=subprocess.DEVNULL)\n"
-        "print(p.pid, flush=True)\n"
-    )
-    command = ["qemu-system-arm", "-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "null"]
-    number = int(run(sys.executable, "-c", script, *command, "-kernel", in_qemu))
-    with suppress(ProcessLookupError):  # it is gone already
-        ended = os.pidfd_open(number)
-        try:
-            assert select.select([ended], [], [], LIMIT)[0]
-        finally:
-            os.close(ended)
 
 
 @pytest.mark.parametrize("target", [pytest.param("mps2-an386", marks=QEMU)], indirect=True)
