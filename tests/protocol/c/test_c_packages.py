@@ -69,32 +69,25 @@ def test_the_arduino_properties_and_layout() -> None:
     assert {file.name for file in SOURCE.glob("*.c*")} == C_FILES
 
 
-def test_cmake_builds_the_library_and_the_example(tmp_path: Path) -> None:
-    cmake = compiler("cmake")
-    require("C compiler")
-    run(cmake, "-S", SOURCE, "-B", tmp_path, "-DHBP_CAN=ON", "-DHBP_EXAMPLES=ON")
-    run(cmake, "--build", tmp_path)
-    with subprocess.Popen([tmp_path / "drive"], stdout=subprocess.PIPE, text=True) as drive:
-        assert drive.stdout is not None
-        assert drive.stdout.readline().startswith("target: serial:/dev/")
-        drive.kill()
-
-
-def test_cmake_in_a_project_with_options_of_its_own(tmp_path: Path) -> None:
-    cmake = compiler("cmake")
+def test_cmake_builds_library_and_example_in_a_project_with_options_of_its_own(tmp_path: Path) -> None:
+    cmake, build = compiler("cmake"), tmp_path / "build"
     require("C compiler")
     (tmp_path / "mine.h").write_text("#define HBP_CHANNELS 3\n")
     (tmp_path / "main.c").write_text(
-        '#include "hbp.h"\n_Static_assert(HBP_CHANNELS == 3, "mine");\nstruct hbp_link link_;\n'
-        "int main(void) { hbp_link_init(&link_, 0.0f); return 0; }\n"
+        '#include "hbp_can.h"\n_Static_assert(HBP_CHANNELS == 3, "mine");\nstruct hbp_can can;\n'
+        "int main(void) { struct hbp_can_bus bus = {0}; hbp_can_init(&can, &bus); return 0; }\n"
     )
     (tmp_path / "CMakeLists.txt").write_text(
         "cmake_minimum_required(VERSION 3.13)\nproject(firmware C)\n"
         f"add_subdirectory({SOURCE} hbp)\nadd_executable(firmware main.c)\ntarget_link_libraries(firmware hbp)\n"
     )
-    run(cmake, "-S", tmp_path, "-B", tmp_path / "build", f"-DHBP_OPTIONS={tmp_path / 'mine.h'}")
-    run(cmake, "--build", tmp_path / "build")
-    run(tmp_path / "build" / "firmware")
+    run(cmake, "-S", tmp_path, "-B", build, f"-DHBP_OPTIONS={tmp_path / 'mine.h'}", "-DHBP_CAN=ON", "-DHBP_EXAMPLES=ON")
+    run(cmake, "--build", build)
+    run(build / "firmware")
+    with subprocess.Popen([build / "hbp" / "drive"], stdout=subprocess.PIPE, text=True) as drive:
+        assert drive.stdout is not None
+        assert drive.stdout.readline().startswith("target: serial:/dev/")
+        drive.kill()
 
 
 @pytest.mark.parametrize("can", ["y", "n"])
