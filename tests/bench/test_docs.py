@@ -56,7 +56,7 @@ def test_bench_commands_exist_with_their_options(page: Path) -> None:
         options = {word.partition("=")[0] for word in arguments if word.startswith("-")}
         assert options <= known_options(command), f"{page.name}: {text}"
         if not any(word in text for word in ("…", "TARGET", "FILE")):
-            context = click.Context(command, help_option_names=["-h", "--help"])  # click keeps the first ones it sees
+            context = click.Context(command, help_option_names=["-h", "--help"])  # click keeps the first ones
             command.make_parser(context).parse_args(arguments)
 
 
