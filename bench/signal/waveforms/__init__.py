@@ -1,4 +1,4 @@
-"""What an acceptance test measures on recorded waveforms: steps, ramps, harmonics, frequency responses, Hall edges.
+"""What an acceptance test measures on recorded waveforms: steps, harmonics, frequency responses, Hall edges.
 
 Pure functions of numpy arrays. `t` is (n,) in s and uniform, values are (n,). Nothing here talks to a drive, knows a
 limit or gives a verdict.
@@ -9,29 +9,11 @@ is NaN, with its count beside it.
 """
 
 from bench.signal.waveforms.frequency import Spectrum, sine_response, spectrum
-from bench.signal.waveforms.harmonics import Fundamental, Thd, fundamental, periodic, thd, thd_by_angle
-from bench.signal.waveforms.sectors import (
-    FORWARD,
-    REVERSE,
-    EdgeOffsets,
-    SectorErrors,
-    by_sector,
-    edge_offsets,
-    sector_of_angle,
-)
-from bench.signal.waveforms.steps import (
-    Constant,
-    RampFit,
-    Settled,
-    StepResponse,
-    constant,
-    ramp,
-    settled,
-    step_response,
-)
+from bench.signal.waveforms.harmonics import Fundamental, Thd, fundamental, thd, thd_by_angle
+from bench.signal.waveforms.sectors import FORWARD, REVERSE, EdgeOffsets, edge_offsets, sector_of_angle
+from bench.signal.waveforms.steps import Settled, StepResponse, settled, step_response
 
 __all__ = [
-    "REVERSE", "FORWARD", "Constant", "EdgeOffsets", "Fundamental", "RampFit", "SectorErrors", "Settled", "Spectrum",
-    "StepResponse", "Thd", "by_sector", "constant", "edge_offsets", "fundamental", "periodic", "ramp",
-    "sector_of_angle", "settled", "sine_response", "spectrum", "step_response", "thd", "thd_by_angle",
+    "REVERSE", "FORWARD", "EdgeOffsets", "Fundamental", "Settled", "Spectrum", "StepResponse", "Thd", "edge_offsets",
+    "fundamental", "sector_of_angle", "settled", "sine_response", "spectrum", "step_response", "thd", "thd_by_angle",
 ]  # fmt: skip

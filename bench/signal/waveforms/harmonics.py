@@ -1,4 +1,4 @@
-"""The fundamental of a waveform, its harmonics, its total harmonic distortion, and how periodic it is.
+"""The fundamental of a waveform, its harmonics, and its total harmonic distortion.
 
 All by least squares on the samples over a whole number of periods, to within one sample: a period need not be a whole
 number of samples, and nothing is resampled. Amplitudes are peak values in the unit of `y`, frequencies are in Hz.
@@ -115,30 +115,6 @@ def thd_by_angle(theta: ArrayLike, y: ArrayLike, order: int = ORDER) -> Thd:
             "unwrap theta, sample faster or take a lower order"
         )
     return _distortion(theta - theta[0], y, order, "one period a turn")
-
-
-def periodic(t: ArrayLike, y: ArrayLike, f: float, order: int = 2 * ORDER) -> float:
-    """How much of `y` (n,) at `t` (n,) s uniform does not repeat with the period 1/`f`: 0 nothing, 1 all of it.
-
-    It is the rms of y less its mean and the harmonics of f (Hz) up to `order`, or up to half the sample rate where that
-    comes first, over the rms of y about its mean, both corrected for the number of fitted terms. Repeating detail finer
-    than `order` counts as not periodic.
-
-    Raises ValueError for unfit samples, for fewer than 3 periods, for an f not below half the sample rate, and for a y
-    that stands still.
-    """
-    t, y = checked(t=t, y=y)
-    period = sample_period(t)
-    if not 0 < f < 0.5 / period:
-        raise ValueError(f"f: {f:g} Hz is not between 0 and half the sample rate, {0.5 / period:g} Hz")
-    phase = TWO_PI * f * (t - t[0])
-    phase, y, _ = _trimmed(phase, y)
-    if np.ptp(y) <= ROUNDING * np.abs(y).max():
-        raise ValueError(f"y is constant at {y[0]:g}: no periodic waveform")
-    columns = _columns(phase, _order_below(0.5 / (f * period), order))
-    rest = y - columns @ least_squares(columns, y)
-    n, terms = columns.shape
-    return float(np.sqrt(rest @ rest / (n - terms) / (y.var() * n / (n - 1))))
 
 
 def _distortion(phase: Floats, y: Floats, order: int, where: str) -> Thd:

@@ -1,4 +1,4 @@
-"""Errors by electrical sector, and where the Hall edges lie.
+"""Electrical sectors, and where the Hall edges lie.
 
 Angles are electrical rad, wrapped or not. Sector k is [k * 60 deg, (k + 1) * 60 deg). Nothing here knows a wiring other
 than the specified one: see `bench.findings.wiring`.
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bench.signal.position import wrap
-from bench.signal.waveforms.samples import Floats, checked
+from bench.signal.waveforms.samples import Floats
 from protocol.signals import SECTOR_OF_CODE
 
 SECTORS = 6
@@ -27,17 +27,6 @@ _STEPS = np.array([
 """Sectors gone, by the old code times 8 and the new one."""
 FORWARD, REVERSE = 0, 1
 """Columns of `EdgeOffsets`."""
-
-
-class SectorErrors(NamedTuple):
-    """Statistics by sector, each (6,), in the unit of the error; NaN where n is 0."""
-
-    mean: Floats
-    std: Floats
-    """Of the population."""
-    max: Floats
-    """Largest magnitude."""
-    n: NDArray[np.int64]
 
 
 class EdgeOffsets(NamedTuple):
@@ -56,19 +45,6 @@ def sector_of_angle(theta: Floats) -> NDArray[np.int64]:
     """Sector 0..5 of the angles `theta` (n,) rad, by ideal edges."""
     sector: NDArray[np.int64] = np.floor(theta / SECTOR_WIDTH).astype(np.int64) % SECTORS
     return sector
-
-
-def by_sector(theta: ArrayLike, error: ArrayLike) -> SectorErrors:
-    """Mean, standard deviation and largest magnitude of `error` (n,), any unit, by the sector of `theta` (n,) rad.
-
-    A position error must come wrapped. Raises ValueError for unfit samples.
-    """
-    theta, error = checked(theta=theta, error=error)
-    sector = sector_of_angle(theta)
-    groups = [error[sector == s] for s in range(SECTORS)]
-    rows = [(g.mean(), g.std(), np.abs(g).max()) if len(g) else (math.nan,) * 3 for g in groups]
-    mean, std, largest = np.array(rows, dtype=np.float64).T
-    return SectorErrors(mean, std, largest, np.bincount(sector, minlength=SECTORS))
 
 
 def edge_offsets(

@@ -1,4 +1,4 @@
-"""Behaviour in time: settling, step responses, ramps, and values that should stand still.
+"""Behaviour in time: settling and step responses.
 
 Nothing here knows what was commanded but what it is told. Values keep the unit of `y`, times are in s.
 """
@@ -40,27 +40,6 @@ class StepResponse(NamedTuple):
     """Farthest value in the direction of the step, in the unit of y."""
     steady_error: float
     """Mean of y - y1 over the last fifth of the time after the step, in the unit of y."""
-
-
-class RampFit(NamedTuple):
-    """How a value followed a ramp."""
-
-    slope: float
-    """Of the line nearest to y, in units of y a second."""
-    rms: float
-    """Of y about that line."""
-    lag: float
-    """s by which y is behind the commanded ramp, in the mean; negative: ahead of it."""
-
-
-class Constant(NamedTuple):
-    """How still a value stood, all in its unit."""
-
-    mean: float
-    std: float
-    peak_to_peak: float
-    drift: float
-    """How far the line nearest to y goes from the first sample to the last."""
 
 
 def settled(t: ArrayLike, y: ArrayLike, target: float, band: float, hold: float = 0.0) -> Settled:
@@ -114,35 +93,6 @@ def step_response(
         peak=y0 + float(progress.max()) * height,
         steady_error=(float(progress[time >= (1.0 - TAIL) * time[-1]].mean()) - 1.0) * height,
     )
-
-
-def ramp(t: ArrayLike, y: ArrayLike, slope: float, start: float = 0.0) -> RampFit:
-    """How `y` follows a ramp that is commanded as `start` at t[0] and rises by `slope` a second (falls, if negative).
-
-    `t` (n,) s uniform, `y` (n,). Leave the first moments of the ramp out where only the steady lag is asked for, and
-    give `start` as it is commanded at the first sample kept. Raises ValueError for unfit samples and for a slope of 0.
-    """
-    if slope == 0:
-        raise ValueError("a ramp must have a slope other than 0: use constant()")
-    t, y = checked(t=t, y=y)
-    sample_period(t)
-    time = t - t[0]
-    fitted, residual = _line(time, y)
-    return RampFit(fitted, float(np.sqrt(np.mean(residual**2))), float(np.mean(start + slope * time - y)) / slope)
-
-
-def constant(y: ArrayLike) -> Constant:
-    """How still `y` (n,), of uniform samples, stands; std is that of the population. ValueError for unfit samples."""
-    (y,) = checked(y=y)
-    slope, _ = _line(np.arange(len(y), dtype=np.float64), y)
-    return Constant(float(y.mean()), float(y.std()), float(np.ptp(y)), slope * (len(y) - 1))
-
-
-def _line(x: Floats, y: Floats) -> tuple[float, Floats]:
-    """Slope of the line nearest to y, and y less that line."""
-    x, y = x - x.mean(), y - y.mean()
-    slope = float(x @ y / (x @ x))
-    return slope, y - slope * x
 
 
 def _reached(time: Floats, progress: Floats, level: float) -> float | None:

@@ -14,12 +14,8 @@ from scipy.optimize import brentq
 from bench.signal.waveforms import (
     FORWARD,
     REVERSE,
-    by_sector,
-    constant,
     edge_offsets,
     fundamental,
-    periodic,
-    ramp,
     sector_of_angle,
     settled,
     sine_response,
@@ -117,37 +113,6 @@ def test_moving_mean_makes_a_sharp_step_as_long_as_it_says_and_takes_noise_off()
     assert smooth.overshoot < 0.016 < 0.25 < rough.overshoot  # 0.1 / sqrt(1000 samples), five times
 
 
-# --- ramps and constants ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("slope", [40.0, -3.0])
-def test_a_ramp_through_a_lag_is_behind_by_its_time_constant(slope: float) -> None:
-    tau, start = 0.02, 7.0
-    t = times(1.0, 1e3, start=100.0)
-    x = t - t[0]
-    y = start + slope * (x - tau + tau * np.exp(-x / tau))
-    late = x >= 0.5
-    fit = ramp(t[late], y[late], slope, start + slope * 0.5)
-    assert (fit.slope, fit.lag) == (pytest.approx(slope, rel=1e-9), pytest.approx(tau, rel=1e-8))
-    assert fit.rms < 1e-9 * abs(slope)
-
-
-def test_ramp_residual_is_the_ripple() -> None:
-    t = times(10.0, 1e3)
-    fit = ramp(t, 5.0 * t + 0.3 * np.sin(2 * math.pi * 20.0 * t), 5.0)
-    assert (fit.rms, fit.lag) == (pytest.approx(0.3 / math.sqrt(2.0), rel=1e-3), pytest.approx(0.0, abs=1e-4))
-
-
-def test_constant_tells_ripple_from_drift() -> None:
-    n = np.arange(1000)
-    y = 24.0 + 0.5 * np.sin(2 * math.pi * n / 100.0)
-    still = constant(y)
-    assert (still.mean, still.std) == (pytest.approx(24.0), pytest.approx(0.5 / math.sqrt(2.0)))
-    assert still.peak_to_peak == pytest.approx(1.0)
-    assert constant(y + 2.0 * n / 999.0).drift - still.drift == pytest.approx(2.0)
-    assert constant(np.full(50, 3.3)) == pytest.approx((3.3, 0.0, 0.0, 0.0), abs=1e-12)
-
-
 # --- harmonics --------------------------------------------------------------------------------------------------------
 
 harmonics = st.lists(st.floats(0.0, 0.4), min_size=19, max_size=19)
@@ -218,25 +183,6 @@ def _frequency_bound(sigma: float, amplitude: float, n: int, rate: float) -> flo
     return math.sqrt(24.0 * (sigma / amplitude) ** 2 / n**3) * rate / (2 * math.pi)
 
 
-def test_periodic_is_the_share_of_what_does_not_repeat() -> None:
-    t = times(2.0, 10e3)
-    y = 5.0 + wave(2 * math.pi * 37.7 * t, [1.0, 0.5, 0.0, 0.2])
-    assert periodic(t, y, 37.7) == pytest.approx(0.0, abs=1e-9)
-    signal_rms, noise_rms = math.sqrt(1.29 / 2.0), 0.2
-    noise = np.random.default_rng(8).normal(0.0, noise_rms, len(t))
-    assert periodic(t, y + noise, 37.7) == pytest.approx(noise_rms / math.hypot(signal_rms, noise_rms), rel=0.03)
-    assert periodic(t[:600], noise[:600], 60.0) == pytest.approx(1.0, abs=0.05)  # 81 terms on 600 samples
-    between = 0.3 * np.sin(2 * math.pi * 1.5 * 37.7 * t)
-    assert periodic(t, y + between, 37.7) == pytest.approx(0.3 / math.sqrt(1.29 + 0.09), rel=0.01)
-
-
-def test_periodic_counts_detail_finer_than_its_order() -> None:
-    t = times(1.0, 10e3)
-    y = wave(2 * math.pi * 50.0 * t, [1.0, 0.0, 0.0, 0.0, 0.1])
-    assert periodic(t, y, 50.0, order=4) == pytest.approx(0.1 / math.sqrt(1.01), rel=1e-3)
-    assert periodic(t, y, 50.0, order=5) == pytest.approx(0.0, abs=1e-9)
-
-
 # --- frequencies ------------------------------------------------------------------------------------------------------
 
 
@@ -292,16 +238,6 @@ def test_sectors_open_at_their_lower_edge_and_go_round() -> None:
     assert sector_of_angle(edges + 1e-9).tolist() == list(range(6)) * 4
     assert sector_of_angle(edges - 1e-9).tolist() == [5, *list(range(6)) * 3, *range(5)]
     assert sector_of_angle(np.array([0.0, -1e-300])).tolist() == [0, 5]
-
-
-def test_errors_by_sector() -> None:
-    theta = np.array([0.1, 0.2, 1.2, 2.2, 2.3, -0.1, 0.1 + 2 * math.pi])
-    found = by_sector(theta, np.array([0.1, 0.3, -0.2, 0.5, -0.5, 0.0, -0.7]))
-    assert found.n.tolist() == [3, 1, 2, 0, 0, 1]
-    assert found.mean == pytest.approx([-0.1, -0.2, 0.0, math.nan, math.nan, 0.0], nan_ok=True)
-    spread = math.sqrt((0.2**2 + 0.4**2 + 0.6**2) / 3.0)
-    assert found.std == pytest.approx([spread, 0.0, 0.5, math.nan, math.nan, 0.0], nan_ok=True)
-    assert found.max == pytest.approx([0.7, 0.2, 0.5, math.nan, math.nan, 0.0], nan_ok=True)
 
 
 def edges_of_turns(delta_deg: tuple[float, ...], hysteresis_deg: float, turns: int) -> tuple[Floats, ...]:
@@ -362,7 +298,6 @@ def short(f: float, advancing: float, *also: float) -> complex:
     (lambda: step_response(T, T, -0.1, 0.0, 1.0), "not among the samples"),
     (lambda: step_response(T, T, 1.0, 0.0, 1.0), "not among the samples"),
     (lambda: step_response(T, T, 0.5, 0.0, 1.0, -0.1), "must be >= 0"),
-    (lambda: ramp(T, T, 0.0), "slope other than 0"),
     (lambda: thd(T, sine(2.9), 2.9), r"^2\.9 periods are too few: record at least 3$"),
     (lambda: thd(T, sine(25.0), 25.0), "harmonic 20 of 25 Hz is not between 0 and half the sample rate, 500 Hz"),
     *((lambda still=still: thd(T, np.full_like(T, still), 20.0), NO_FUNDAMENTAL) for still in (0.0, 0.1, 0.5, 1e6)),
@@ -376,8 +311,6 @@ def short(f: float, advancing: float, *also: float) -> complex:
     (lambda: fundamental(T, sine(50.0), 200.0), "no fundamental"),
     (lambda: fundamental(T, sine(50.0), 2.0), "2 periods are too few"),
     (lambda: fundamental(T, sine(50.0), 500.0), "not between 0 and half the sample rate"),
-    (lambda: periodic(T, np.full_like(T, 0.1), 50.0), r"y is constant at 0\.1"),
-    (lambda: periodic(T, sine(50.0), 2.0), "too few"),
     (lambda: short(50.0, 50.0, 55.0), "too short to resolve 50 Hz from 55 Hz"),
     (lambda: short(5.0, 5.0), "too short to resolve 0 Hz from 5 Hz"),
     (lambda: short(60.0, 50.0), "advances at 50 Hz, not at 60 Hz"),
@@ -394,10 +327,8 @@ def test_what_cannot_be_measured_is_refused_with_the_reason(measure: Callable[[]
 MEASURES: dict[str, Callable[[Floats, Floats], object]] = {
     "settled": lambda t, y: settled(t, y, 0.0, 1.0),
     "step_response": lambda t, y: step_response(t, y, 0.1, 0.0, 1.0),
-    "ramp": lambda t, y: ramp(t, y, 1.0),
     "fundamental": lambda t, y: fundamental(t, y, 50.0),
     "thd": lambda t, y: thd(t, y, 20.0),
-    "periodic": lambda t, y: periodic(t, y, 50.0),
     "spectrum": lambda t, y: spectrum(t, y),
     "sine_response": lambda t, y: sine_response(t, y, 50.0, 2 * math.pi * 50.0 * t),
 }
