@@ -103,7 +103,7 @@ def connect(
     """
     from bench.rig.envelope import Envelope
     from bench.rig.notebook import open_rig
-    from bench.rig.rig import Recording
+    from bench.rig.outputs import Recording
     from bench.rig.settings import read_settings
 
     if settings is None or isinstance(settings, str | Path):

@@ -39,9 +39,10 @@ from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.loads import OwnLoads
 from bench.rig.lock import alone_on
+from bench.rig.outputs import Recording
 from bench.rig.quality import Quality
 from bench.rig.ratings import RATING_PARAMETERS, ratings
-from bench.rig.rig import Plan, Recording, Rig
+from bench.rig.rig import Plan, Rig
 from bench.rig.settings import Settings, read_settings
 from bench.signal.limits import UNITS, Limits
 from bench.signal.versions import versions

@@ -26,7 +26,8 @@ from bench.rig.consent import at_most, check_limits, require_consent
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.lock import alone_on
-from bench.rig.rig import Plan, Recording, Rig
+from bench.rig.outputs import Recording
+from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.settings import Settings, read_settings
 from bench.signal.trace import STATOR

@@ -31,8 +31,8 @@ from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.lock import alone_on
 from bench.rig.needs import NEEDS, require
 from bench.rig.outcome import RunOutcome
-from bench.rig.outputs import load_beside
-from bench.rig.rig import Plan, Recording, Rig
+from bench.rig.outputs import Recording, load_beside
+from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.streams import decimation_of
 from bench.signal.sources import source_number, source_short

@@ -20,7 +20,8 @@ from bench.rig.consent import at_most, check_limits, require_consent
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import undisturbed
 from bench.rig.lock import alone_on
-from bench.rig.rig import Plan, Recording, Rig
+from bench.rig.outputs import Recording
+from bench.rig.rig import Plan, Rig
 from bench.rig.settings import Settings
 from protocol.errors import HbpError
 

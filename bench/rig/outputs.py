@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,41 +43,46 @@ def load_beside(view: bool) -> None:
     threading.Thread(target=load, name="import").start()
 
 
+@dataclass(frozen=True)
+class Recording:
+    """What is kept and shown of a run: the file, and what it says of itself beside drive and bench; the viewer."""
+
+    path: Path | None = None
+    about: dict[str, str] = field(default_factory=dict)
+    viewer: str = "none"
+    overwrite: bool = True
+    web_port: int | None = None
+    stored: Stored = FOR_EVER
+    """How a recording is kept that goes on for long."""
+    sector: float | None = None
+    """How long a Hall sector will last, s, where that is known."""
+
+
 class Outputs:
     """Recording and live view of one run. Raises RecordingError or ViewerError when one cannot be had.
 
     A recording that fails later raises nothing: `failure` holds the error, and the run should end.
     """
 
-    def __init__(
-        self,
-        run: RunInfo,
-        save: Path | None,
-        overwrite: bool,
-        viewer: str,
-        web_port: int | None = None,
-        wait: bool = False,
-        stored: Stored = FOR_EVER,
-        sector: float | None = None,
-    ) -> None:
-        """`wait`: hold a caller back that is faster than the disk, for virtual time.
-
-        `stored`: how a recording is kept that goes on for long. `sector`: how long a Hall sector will last, s, where
-        that is known.
-        """
+    def __init__(self, run: RunInfo, recording: Recording, wait: bool = False) -> None:
+        """`wait`: hold a caller back that is faster than the disk, for virtual time."""
+        save = recording.path
         self.file: RunSink | None = None
         self._rrd = save if save is not None and save.suffix == RRD else None
         self.view: LiveView | None = None
         if save is not None:
-            check_output(save, str(save), overwrite, recording=True)
+            check_output(save, str(save), recording.overwrite, recording=True)
             from bench.record.sink import RunSink
 
-            self.file = RunSink(run_folder(save), run, overwrite=overwrite, wait=wait, stored=stored)
-        if viewer != "none":
+            self.file = RunSink(
+                run_folder(save), run, overwrite=recording.overwrite, wait=wait, stored=recording.stored
+            )
+        if recording.viewer != "none":
             from bench.view.viewer import LiveView, chosen
 
             try:
-                self.view = LiveView(run, chosen(viewer), web_port=web_port, sector=sector)
+                kind = chosen(recording.viewer)
+                self.view = LiveView(run, kind, web_port=recording.web_port, sector=recording.sector)
             except BaseException:
                 if self.file is not None:
                     self.file.close()

@@ -20,7 +20,6 @@ from bench.device.heard import Sink
 from bench.device.node import ClockFit, Node
 from bench.device.safety import is_off, says
 from bench.errors import BenchError, DriveFailed, OutputsMayBeOn
-from bench.record.ring import FOR_EVER, Stored
 from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.envelope import Envelope
@@ -29,7 +28,7 @@ from bench.rig.loads import Load, NodeLoad, NoLoad, OwnLoads, PersonLoad
 from bench.rig.machine import Machine
 from bench.rig.metadata import changed_keys, run_info
 from bench.rig.needs import NEEDS, require
-from bench.rig.outputs import Outputs
+from bench.rig.outputs import Outputs, Recording
 from bench.rig.person import Ask
 from bench.rig.quality import ParameterValue, Quality
 from bench.rig.recorder import Recorder
@@ -83,20 +82,6 @@ class Plan:
     """What is held as long as the rig is open: the lock on its target."""
     own_loads: OwnLoads = field(default_factory=OwnLoads)
     """What outlives the rig: objects of the user's load classes."""
-
-
-@dataclass(frozen=True)
-class Recording:
-    """What is kept of a run: the file, and what it says of itself beside drive and bench."""
-
-    path: Path | None = None
-    about: dict[str, str] = field(default_factory=dict)
-    viewer: str = "none"
-    overwrite: bool = True
-    web_port: int | None = None
-    stored: Stored = FOR_EVER
-    sector: float | None = None
-    """How long a Hall sector will last, s, where that is known."""
 
 
 class Rig:
@@ -268,10 +253,7 @@ class Rig:
         """
         plan, channels = self.plan, (*self.channels, *more)
         info = run_info(self.drive.node, plan.target, channels, self.drive.parameters, plan.settings, **recording.about)
-        outputs = self.outputs = Outputs(
-            info, recording.path, recording.overwrite, recording.viewer, recording.web_port, plan.virtual,
-            recording.stored, recording.sector,
-        )  # fmt: skip
+        outputs = self.outputs = Outputs(info, recording, plan.virtual)
         self._stack.callback(outputs.close)
         if outputs.file is not None and not plan.goes_on:
             self._stack.callback(outputs.file.close)

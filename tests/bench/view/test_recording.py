@@ -21,7 +21,7 @@ from bench.record.reader import NotARecordingError, Run
 from bench.record.recording import readable
 from bench.record.sink import RunSink
 from bench.record.writer import RunWriter
-from bench.rig.outputs import Outputs
+from bench.rig.outputs import Outputs, Recording
 from bench.view import schema
 from protocol.descriptor import Descriptor
 from protocol.host import HeartbeatReceived
@@ -138,7 +138,7 @@ def test_the_telemetry_lane_shows_a_gap_as_long_as_it_was(tmp_path: Path) -> Non
 
 
 def test_a_run_that_ends_in_an_error_leaves_a_whole_file(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
-    outputs = Outputs(synthetic.run_info(), tmp_path / "a.run", False, "none")
+    outputs = Outputs(synthetic.run_info(), Recording(tmp_path / "a.run"))
     made.feed(*outputs.sinks)
     outputs.close()  # with no end_recording before it
     run = Run(tmp_path / "a.run")
