@@ -22,7 +22,7 @@ from bench.record import layout
 from bench.record.info import AnyChannel, stream_to_json
 from bench.record.reader import Run
 from bench.record.times import ticks_of
-from bench.signal.chunks import no_edges
+from bench.signal.chunks import BEGIN, END, no_edges
 from bench.signal.versions import PROGRAM
 from protocol import __version__
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -32,7 +32,6 @@ MARKS = "marks"
 Arrays = dict[str, NDArray[Any]]
 """The columns of a table by name, (rows,) each."""
 
-_ALWAYS = -1, 1 << 62
 _SAID = ("mark", "event", "note", "parameter", "heartbeat", "missing")
 
 
@@ -87,7 +86,7 @@ class Content:
         self.run = run
         self.first, self.last = ticks_of(run, begin, end)
         hz = run.info.tick_hz
-        self.said = (_ALWAYS[0] if begin is None else round(begin * hz), _ALWAYS[1] if end is None else round(end * hz))
+        self.said = (BEGIN if begin is None else round(begin * hz), END if end is None else round(end * hz))
         """First and last tick of what was said that belongs to it: it may lie before the samples, or after them."""
         _check_names(run, channels)
         names = sorted(run.names, key=lambda name: name != layout.SAMPLES)  # those first, the others as they began

@@ -17,7 +17,7 @@ from bench.record.folder import remove
 from bench.record.info import Kept, RunInfo
 from bench.record.ring import Stored
 from bench.record.writer import RunWriter
-from bench.signal.chunks import between
+from bench.signal.chunks import END, between
 from protocol.streams import EdgeChunk, SampleChunk
 
 AHEAD = 1000  # chunks of edges that may be ahead of their samples
@@ -90,7 +90,7 @@ class Parts:
         now = datetime.now(UTC).isoformat(timespec="seconds")
         self.writer = self._new_writer(replace(self._run, recording_id=uuid4().hex, started=now), old)
         for chunk in self._edges:
-            ahead = between(chunk, first, 1 << 62)
+            ahead = between(chunk, first, END)
             if len(ahead):
                 self.writer.take(replace(ahead, gaps=()))
         self._before = samples, edges - self.writer.edges_written

@@ -27,7 +27,19 @@ from bench.record.info import Kept, Mark, RunInfo, stream_from_json
 from bench.record.memory import available, in_words
 from bench.record.overview import Overview
 from bench.signal.capture import Capture, gathered
-from bench.signal.chunks import END, LostStretches, between, join, narrowed, no_edge_stream, no_edges, of_channels, part
+from bench.signal.chunks import (
+    BEGIN,
+    END,
+    Chunk,
+    LostStretches,
+    between,
+    join,
+    narrowed,
+    no_edge_stream,
+    no_edges,
+    of_channels,
+    part,
+)
 from bench.signal.verdict import Verdict
 from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat
@@ -274,7 +286,7 @@ class Run:
         return (*found, Segment(self, max(self._segments, default=0) + 1, None)) if self.opened else tuple(found)
 
     def pieces(
-        self, stream: str, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
+        self, stream: str, first: int = BEGIN, last: int = END, channels: Collection[str] | None = None
     ) -> Iterator[SampleChunk | EdgeChunk]:
         """A stream from tick `first` to `last`, both included, a row group or less at a time, in order.
 
@@ -289,21 +301,20 @@ class Run:
                 yield continuity.chunk(piece)
 
     def chunk(
-        self, stream: str, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
+        self, stream: str, first: int = BEGIN, last: int = END, channels: Collection[str] | None = None
     ) -> SampleChunk | EdgeChunk | None:
         """A stream from tick `first` to `last`, both included, in one piece, see `pieces`; None if nothing is there."""
         found = list(self.pieces(stream, first, last, channels))
         return join(found) if found else None
 
-    def rows(self, stream: str, first: int | None = None, last: int | None = None) -> int:
+    def rows(self, stream: str, first: int = BEGIN, last: int = END) -> int:
         """How many records of a stream the files hold from tick `first` to `last`, by their row groups: rather more."""
         return sum(segment.rows(stream, first, last) for segment in self.segments) if stream in self.names else 0
 
-    def damaged(self, stream: str, first: int | None = None, last: int | None = None) -> list[tuple[int, int, int]]:
+    def damaged(self, stream: str, first: int = BEGIN, last: int = END) -> list[tuple[int, int, int]]:
         """First and last tick and rows of what was found damaged of a stream and is not read, as far as it was read."""
-        low, high = _bounds(first, last)
         files = {file.name for segment in self.segments for file in segment.files.get(stream, ())}
-        found = {(a, b, rows) for name, a, b, rows in self._lost_groups if name in files and a <= high and b >= low}
+        found = {(a, b, rows) for name, a, b, rows in self._lost_groups if name in files and a <= last and b >= first}
         return sorted(found)
 
     @cached_property
@@ -403,29 +414,14 @@ class Run:
     # -- all of it ----------------------------------------------------------------------------------------------
 
     @cached_property
-    def streams(self) -> dict[str, SampleChunk]:
-        """All samples, by stream: for runs that fit into memory."""
-        return {name: chunk for name, chunk in self._whole.items() if isinstance(chunk, SampleChunk)}
-
-    @cached_property
-    def edge_streams(self) -> dict[str, EdgeChunk]:
-        """All edges, by stream."""
-        return {name: chunk for name, chunk in self._whole.items() if isinstance(chunk, EdgeChunk)}
-
-    @cached_property
-    def _whole(self) -> dict[str, SampleChunk | EdgeChunk]:
-        found = {name: self.chunk(name) for name in self.names}
-        return {name: chunk for name, chunk in found.items() if chunk is not None}
-
-    @property
     def samples(self) -> SampleChunk:
-        """The drive's samples. KeyError if none were recorded."""
-        return self.streams[layout.SAMPLES]
+        """The drive's samples, of a run that fits into memory. KeyError if none were recorded."""
+        return _whole(self, layout.SAMPLES, SampleChunk)
 
-    @property
+    @cached_property
     def edges(self) -> EdgeChunk:
-        """The drive's Hall edges. KeyError if none were recorded."""
-        return self.edge_streams[layout.EDGES]
+        """The drive's Hall edges, likewise."""
+        return _whole(self, layout.EDGES, EdgeChunk)
 
 
 class Segment:
@@ -470,17 +466,16 @@ class Segment:
         groups = self._files[stream][0].groups
         return groups[0][0], groups[-1][1]
 
-    def rows(self, stream: str, first: int | None = None, last: int | None = None) -> int:
+    def rows(self, stream: str, first: int = BEGIN, last: int = END) -> int:
         """See `Run.rows`."""
-        low, high = _bounds(first, last)
         if self._files is None:
             groups = [(int(chunk.tick[0]), int(chunk.tick[-1]), len(chunk)) for chunk in self._run.journaled(stream)]
         else:
             groups = list(self._files[stream][0].groups) if stream in self._files else []
-        return sum(n for a, b, n in groups if a <= high and b >= low)
+        return sum(n for a, b, n in groups if a <= last and b >= first)
 
     def pieces(
-        self, stream: str, first: int | None = None, last: int | None = None, config: StreamConfig | None = None
+        self, stream: str, first: int = BEGIN, last: int = END, config: StreamConfig | None = None
     ) -> Iterator[SampleChunk | EdgeChunk]:
         """See `Run.pieces`; what is missing between two of them is not in their gaps.
 
@@ -497,7 +492,7 @@ class Segment:
             tables = self.tables(stream, first, last, columns)
             whole = map(partial(layout.to_chunk, config=config), tables)  # which holds no table
         for chunk in whole:
-            part = between(chunk, *_bounds(first, last))
+            part = between(chunk, first, last)
             if len(part):
                 yield part
 
@@ -506,16 +501,21 @@ class Segment:
         return all(self._run.intact(part) for parts in self.files.values() for part in parts)
 
     def tables(
-        self, stream: str, first: int | None = None, last: int | None = None, columns: Collection[str] | None = None
+        self, stream: str, first: int = BEGIN, last: int = END, columns: Collection[str] | None = None
     ) -> Iterator[pa.Table]:
         """The row groups of a stream's file that have ticks from `first` to `last`, as they are stored.
 
         `columns`: those that are read; None: all.
         """
         if files := self.files.get(stream):
-            lowest, highest = _bounds(first, last)
-            chosen = [k for k, (a, b, _) in enumerate(files[0].groups) if a <= highest and b >= lowest]
+            chosen = [k for k, (a, b, _) in enumerate(files[0].groups) if a <= last and b >= first]
             yield from self._run.groups(files, chosen, columns)
+
+
+def _whole(run: Run, stream: str, kind: type[Chunk]) -> Chunk:
+    if not isinstance(whole := run.chunk(stream), kind):
+        raise KeyError(stream)
+    return whole
 
 
 def overviews(run: Run, segment: Segment) -> Iterator[pa.Table]:
@@ -530,13 +530,7 @@ def overviews(run: Run, segment: Segment) -> Iterator[pa.Table]:
                 yield overview.table(chunk)
 
 
-def _bounds(first: int | None, last: int | None) -> tuple[int, int]:
-    return -1 if first is None else first, END if last is None else last
-
-
-def capture_of(
-    run: Run, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
-) -> Capture:
+def capture_of(run: Run, first: int = BEGIN, last: int = END, channels: Collection[str] | None = None) -> Capture:
     """A recording as a capture, or its part from tick `first` to `last`; `channels`: those that are read, None: all.
 
     BenchError where it holds no samples, lacks a channel, or takes more memory than there is.
@@ -546,7 +540,7 @@ def capture_of(
 
 
 def captures(
-    run: Run, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
+    run: Run, first: int = BEGIN, last: int = END, channels: Collection[str] | None = None
 ) -> Iterator[Capture]:
     """The same a piece at a time, some ten seconds or less, in bounded memory: their sum is the whole.
 
@@ -559,10 +553,10 @@ def captures(
     edges = _Edges(run.pieces(layout.EDGES, first, last) if has_edges else iter(()), none)
     stretches = LostStretches()
 
-    def capture(samples: SampleChunk, until: int | None) -> Capture:
+    def capture(samples: SampleChunk, until: int) -> Capture:
         covered = edges.until(until)
         lost = stretches.before(samples) + stretches.before(covered)
-        if until is None:
+        if until == END:
             lost += _lost_at_the_ends(run, first, last, stretches)
         return Capture(samples, covered, info.parameters, tuple(lost))
 
@@ -575,13 +569,13 @@ def captures(
     if waiting is None:
         why = "; ".join(run.damage) or "record a run in which the shaft turns"
         raise BenchError(f"{run.path} holds no samples: {why}")
-    yield capture(waiting, None)
+    yield capture(waiting, END)
 
 
 def require_memory(
     run: Run,
-    first: int | None = None,
-    last: int | None = None,
+    first: int = BEGIN,
+    last: int = END,
     channels: Collection[str] | None = None,
     further: int = 0,
 ) -> None:
@@ -595,8 +589,8 @@ def require_memory(
     if needed > (free := available()):
         a, b = run.span
         raise BenchError(
-            f"{run.path}: {in_words(size)} from {run.at(a if first is None else first)} to "
-            f"{run.at(b if last is None else last)} do not fit into memory ({in_words(free)} are free): read a part of "
+            f"{run.path}: {in_words(size)} from {run.at(max(a, first))} to "
+            f"{run.at(min(b, last))} do not fit into memory ({in_words(free)} are free): read a part of "
             f"the time or some channels, bench.read(path, begin, end, channels), or piece by piece, bench.pieces(path)"
         )
 
@@ -608,9 +602,8 @@ class _Edges:
         self._pieces, self._none = pieces, none
         self._held: list[EdgeChunk] = []
 
-    def until(self, tick: int | None) -> EdgeChunk:
-        """Those up to `tick` that were not handed out yet; None: all that are left."""
-        last = END if tick is None else tick
+    def until(self, last: int) -> EdgeChunk:
+        """Those up to the tick `last` that were not handed out yet."""
         while not self._held or int(self._held[-1].tick[-1]) <= last:
             piece = next(self._pieces, None)
             if not isinstance(piece, EdgeChunk):
@@ -623,18 +616,15 @@ class _Edges:
         return part(whole, 0, now)
 
 
-def _lost_at_the_ends(
-    run: Run, first: int | None, last: int | None, stretches: LostStretches
-) -> Iterator[tuple[int, int, str]]:
+def _lost_at_the_ends(run: Run, first: int, last: int, stretches: LostStretches) -> Iterator[tuple[int, int, str]]:
     """What no gap between two records tells: damaged before the first or after the last, or never come at the end."""
     for stream, noun in ((layout.SAMPLES, "samples"), (layout.EDGES, "Hall edges")):
         oldest, newest = stretches.seen.get(stream == layout.SAMPLES, (END, -1))
         for a, b, rows in run.damaged(stream, first, last):
             if a > newest or b < oldest:
                 yield a, b, f"{rows} {noun} are damaged from {run.at(a)} to {run.at(b)}"
-    low, high = _bounds(first, last)
     for missing in run.missing:
-        if missing.node == run.info.node and low <= missing.tick <= high:
+        if missing.node == run.info.node and first <= missing.tick <= last:
             for since, _, words in stretches.at_the_end(missing.samples, missing.edges, run.info.tick_hz):
                 yield since, max(since, missing.tick), words
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bench.errors import BenchError
 from bench.record.reader import Run
+from bench.signal.chunks import BEGIN, END
 
 
 def ticks_of(run: Run, begin: float | None, end: float | None) -> tuple[int, int]:
@@ -22,6 +23,6 @@ def ticks_of(run: Run, begin: float | None, end: float | None) -> tuple[int, int
     return max(first, wanted[0]), min(last, wanted[1])
 
 
-def ticks_between(run: Run, begin: float | None, end: float | None) -> tuple[int | None, int | None]:
-    """The same, but None, None for all of a run, also of one that holds nothing: its reader says why."""
-    return (None, None) if begin is None and end is None else ticks_of(run, begin, end)
+def ticks_between(run: Run, begin: float | None, end: float | None) -> tuple[int, int]:
+    """The same, but `BEGIN` and `END` for all of a run, also of one that holds nothing: its reader says why."""
+    return (BEGIN, END) if begin is None and end is None else ticks_of(run, begin, end)

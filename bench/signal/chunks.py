@@ -18,8 +18,8 @@ from protocol.text import counted
 I64 = NDArray[np.int64]
 Chunk = TypeVar("Chunk", bound=SampleChunk | EdgeChunk)
 
-END = 1 << 62
-"""A tick that no device reaches."""
+BEGIN, END = -1, 1 << 62
+"""Ticks before and after all that a device reaches."""
 _SAMPLE_FIELDS = ("index", "tick", "raw")
 _EDGE_FIELDS = ("index", "tick", "hall_old", "hall_new", "illegal", "encoder")
 

@@ -23,7 +23,7 @@ from bench.record.info import RunInfo
 from bench.record.layout import EDGES, numbers
 from bench.record.overview import BIN, coarser
 from bench.record.reader import Run, Segment, overviews
-from bench.signal.chunks import between
+from bench.signal.chunks import BEGIN, END, between
 from bench.view import dashboard, schema
 from bench.view.blocks import Block, lost_components
 from bench.view.log import RunLog
@@ -50,9 +50,7 @@ def lot_for(kind: str) -> float:
     return LOT_BROWSER if kind == "web" else LOT
 
 
-def write_rrd(
-    run: Run, path: Path, first: int | None = None, last: int | None = None, page: int = 0, lot: float = LOT
-) -> None:
+def write_rrd(run: Run, path: Path, first: int = BEGIN, last: int = END, page: int = 0, lot: float = LOT) -> None:
     """Write the part of a run from tick `first` to `last` for rerun's viewer, opened at a page of the dashboard.
 
     `lot`: s of signal a message; long ones make a larger file.
@@ -60,16 +58,15 @@ def write_rrd(
     Raises RecordingError.
     The file appears, or replaces an earlier one, when it is whole.
     """
-    begin, end = -1 if first is None else first, 1 << 62 if last is None else last
-    near = closeups(run, begin, end, and_end=True)
+    near = closeups(run, first, last, and_end=True)
     with rrd_file(path, run.info) as stream:
-        whole = (max(begin, run.span[0]), min(end, run.span[1])) if run.segments else None
+        whole = (max(first, run.span[0]), min(last, run.span[1])) if run.segments else None
         sector = None if whole is None else sector_time(run, *whole)
         # a viewer that reads along needs a layout now; how far the plots reach is known when all has been read
         stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, page=page))
         log = RunLog(stream, run.info, lot)
         log.start()
-        show(run, log, begin, end, near)
+        show(run, log, first, last, near)
         log.finish()
         assert log.extents is not None
         found = {key: log.extents.of(plot) for key, plot in plots(run.info).items() if plot.entity == schema.TREND}
@@ -182,7 +179,7 @@ def _from_afar(run: Run, log: RunLog, first: int, last: int, near: Sequence[Span
                 for chunks in _windows(run, segment, max(a, begin), min(b, end)):
                     log.block(Block([*chunks]))
         log.block(said.block(account, end))
-    rest = said.block(account, 1 << 62)
+    rest = said.block(account, END)
     if run.lost is None:
         tick = min(last, run.span[1])
         rest.items.append(Note(tick, "losses are not counted: the run came to no end", "WARN"))
@@ -204,7 +201,7 @@ def _blocks(run: Run, first: int, last: int) -> Iterator[Block]:
             yield said.block(account, max(int(chunk.tick[-1]) for chunk in chunks), chunks)
     for missing in run.missing:
         account.take(missing)
-    yield said.block(account, 1 << 62)
+    yield said.block(account, END)
 
 
 def _parts(run: Run, first: int, last: int) -> Iterator[tuple[Segment, int, int]]:
@@ -226,7 +223,7 @@ def _windows(run: Run, segment: Segment, begin: int, end: int) -> Iterator[list[
             while (chunk := held[name]) is not None and int(chunk.tick[0]) < at + step:
                 found.append(between(chunk, at, at + step - 1))
                 if int(chunk.tick[-1]) >= at + step:
-                    held[name] = between(chunk, at + step, 1 << 62)
+                    held[name] = between(chunk, at + step, END)
                     break
                 held[name] = next(pieces, None)
         if found:

@@ -98,7 +98,7 @@ def test_only_what_is_asked_for_is_read(in_groups: Path) -> None:
     list(whole.pieces("samples"))
     assert len(whole.damage) == 1
     run = Run(in_groups)
-    (first, *_) = (piece for piece in run.pieces("samples", 10 * SECOND // 10, None, ["hall"]))
+    (first, *_) = (piece for piece in run.pieces("samples", SECOND, channels=["hall"]))
     assert not run.damage
     assert first.raw.dtype.names == ("hall",)
 

@@ -73,7 +73,7 @@ def test_gaps_an_outage_and_a_new_configuration_come_back(tmp_path: Path, made: 
     chunks[5] = replace(chunks[5], gaps=(Gap(40, 3, 1, True),), index=chunks[5].index + 3 * (np.arange(100) >= 40))
     sent = chunks[:10] + [replace(chunk, config=again) for chunk in chunks[30:]]
     run = Run(synthetic.recorded(tmp_path / "a.run", *sent))
-    assert list(run.streams) == ["samples"]
+    assert run.names == ("samples",)
     assert (run.samples.index == np.concatenate([chunk.index for chunk in sent])).all()
     assert (run.samples.raw == np.concatenate([chunk.raw for chunk in sent])).all()
     assert run.samples.gaps == (Gap(540, 3, 1, True), Gap(1000, 2000, 0, False))
@@ -156,11 +156,12 @@ def test_streams_of_two_nodes_and_of_fewer_channels_are_kept_apart(tmp_path: Pat
     index = np.arange(50, dtype=np.int64) * 16
     chunks = (*few.chunks(), *more.chunks(), SampleChunk(load, index, index * 1250, raw, ()))
     run = Run(synthetic.recorded(tmp_path / "a.run", *chunks, channels=few.config.channels))
-    assert set(run.streams) == {"samples", "samples.2", "node2-stream0"}
+    assert set(run.names) == {"samples", "edges", "samples.2", "node2-stream0"}
     assert run.samples.raw.tobytes() == few.raw.tobytes()
-    assert run.streams["samples.2"].raw.tobytes() == more.raw.tobytes()
-    assert run.streams["node2-stream0"].raw.tobytes() == raw.tobytes()
-    assert (run.streams["node2-stream0"].index == index).all()
+    second, load = run.chunk("samples.2"), run.chunk("node2-stream0")
+    assert second.raw.tobytes() == more.raw.tobytes()
+    assert load.raw.tobytes() == raw.tobytes()
+    assert (load.index == index).all()
 
 
 def test_a_run_without_samples_is_a_run(tmp_path: Path) -> None:
@@ -168,7 +169,7 @@ def test_a_run_without_samples_is_a_run(tmp_path: Path) -> None:
     sink.take(HeartbeatReceived(1, synthetic.heartbeat(77)))
     sink.close()
     run = Run(tmp_path / "a.run")
-    assert run.streams == run.edge_streams == {}
+    assert run.names == ()
     assert run.summary == ""
 
 

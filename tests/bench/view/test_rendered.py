@@ -79,7 +79,7 @@ def page(recording: Path, number: int, folder: Path) -> Iterator[Page]:
     """A page of the dashboard of a recording, before the motor is stopped."""
     whole = Run(recording)
     rrd = folder / f"{number}.rrd"
-    write_rrd(whole, rrd, None, whole.span[0] + round(0.85 * (whole.span[1] - whole.span[0])), number)
+    write_rrd(whole, rrd, last=whole.span[0] + round(0.85 * (whole.span[1] - whole.span[0])), page=number)
     with headless("--window-size", "1366x768") as viewer:
         viewer.client.open(str(rrd))
         viewer.await_recording()
