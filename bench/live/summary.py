@@ -304,32 +304,13 @@ TRAFFIC = ("bytes", "frames")  # of a link: no trouble
 
 
 def _link_rows(link: dict[str, Any]) -> list[list[str]]:
-    """What went wrong on the link: one line if nothing did."""
-    if not any(value for name, value in link.items() if name not in TRAFFIC):
-        return [["link", "no outage, no reboot; nothing damaged, out of order, unknown, repeated or rejected"]]
-    return [
-        [
-            "damaged, stale, out of order",
-            f"{link['damaged']}, {link['stale']}, {link['out_of_order']} frames"
-            + (f"; {counted(link['late'], 'edge')} too late" if link["late"] else ""),
-        ],
-        [
-            "malformed, unknown, unexpected",
-            f"{link['malformed']}, {link['unknown']}, {link['unexpected_replies']} frames"
-            + (f"; {link['of_no_stream']} of no stream" if link["of_no_stream"] else ""),
-        ],
-        ["requests", f"{link['retries']} repeated"],
-        [
-            "at the drive",
-            f"{counted(link['damaged_at_drive'], 'frame')} damaged, "
-            f"{counted(link['setpoints_rejected'], 'setpoint')} rejected",
-        ],
-        [
-            "link",
-            f"{counted(link['outages'], 'outage')}, {link['downtime_s']:.1f} s down, "
-            f"{counted(link['reboots'], 'reboot')}",
-        ],
+    """What went wrong on the link, a line for each count; one line if nothing did."""
+    wrong = [
+        [f"link, {name.removesuffix('_s').replace('_', ' ')}", f"{value:.1f} s" if name == "downtime_s" else f"{value}"]
+        for name, value in link.items()
+        if value and name not in TRAFFIC
     ]
+    return wrong or [["link", "no outage, no reboot; nothing damaged, out of order, unknown, repeated or rejected"]]
 
 
 def as_markdown(summary: Summary) -> str:

@@ -190,7 +190,10 @@ def test_a_link_that_does_not_come_back_ends_the_run(monkeypatch: pytest.MonkeyP
     watched = run(Cable(simulated(), 0.5, 1e9), speed_rpm=None, duration=100.0)
     assert watched.exit_code == 1  # it turned nothing
     assert watched.summary.link["downtime_s"] == pytest.approx(3.0, abs=0.1)
-    assert ["link", "1 outage, 3.0 s down, 0 reboots"] in run_rows(watched.summary)
+    assert [row for row in run_rows(watched.summary) if row[0].startswith("link")] == [
+        ["link, outages", "1"],
+        ["link, downtime", "3.0 s"],
+    ]
 
 
 @pytest.mark.usefixtures("no_waiting")
