@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from bench.record.layout import EDGES, SAMPLES
 from bench.record.reader import Run, captures
 from bench.report import style
-from bench.report.plots import edge_circle
+from bench.report.plots import edge_axes
 from bench.report.style import FONT_SIZE, GREY, LINE_WIDTH, SERIES
 from bench.signal.channels import reference_angle
 from bench.signal.hall_edges import Measured, measure
@@ -63,11 +63,8 @@ def words(of: Measured) -> str:
 
 def draw(of: Measured) -> Figure:
     """The edges on the circle, and how late each comes, with the standard deviation of its passages."""
-    figure = Figure(figsize=(style.WIDTH, 3.6), layout="constrained", facecolor="white")
-    grid = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.35])
-    circle = figure.add_subplot(grid[0, 0], projection="polar")
-    chart = figure.add_subplot(grid[0, 1])
-    edge_circle(circle, NUMERALS, GREY, 4.0)
+    names = [f"{name}\n{edge.name.replace(' ', chr(10))}" for name, edge in zip(NUMERALS, of.edges, strict=True)]
+    figure, circle, chart = edge_axes(names, GREY, 4.0)
     late_all = []
     for way, mark, hue, shift, inner in (("forward", ">", SERIES[1], -0.1, 0.0), ("reverse", "<", SERIES[0], 0.1, 0.3)):
         passages = [edge.up if way == "forward" else edge.down for edge in of.edges]
@@ -85,12 +82,6 @@ def draw(of: Measured) -> Figure:
         )  # fmt: skip
     circle.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, frameon=False, fontsize=FONT_SIZE,
                   handlelength=1.4, columnspacing=1.0)  # fmt: skip
-    chart.axhline(0.0, color=style.BLACK, linewidth=0.6)
-    names = [f"{name}\n{edge.name.replace(' ', chr(10))}" for name, edge in zip(NUMERALS, of.edges, strict=True)]
-    chart.set_xticks(range(6), names)
-    chart.set_xlim(-0.5, 5.5)
-    style.plain(chart)
-    chart.grid(False, axis="x")
     reach = max(1.15 * float(np.abs(np.concatenate(late_all)).max()), 0.5)
     chart.set_ylim(-reach, reach)
     style.axis_labels(chart, "edge at the start of the sector (turning forward)", "measured − ideal", unit_y="el. °")

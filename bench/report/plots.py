@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.report.style import FONT_SIZE, LIGHT, LINE_WIDTH
+from bench.report.style import BLACK, FONT_SIZE, LIGHT, LINE_WIDTH, WIDTH, plain
 from bench.signal.error_bins import ANGLES
+from bench.signal.waveforms.sectors import NUMERALS, SECTOR_WIDTH, SECTORS
 
 
 def draw_band(
@@ -24,18 +25,29 @@ def draw_band(
     ax.plot(ANGLES, mean, dash, color=hue, linewidth=LINE_WIDTH, label=words)
 
 
-def edge_circle(circle: Axes, names: Sequence[str], hue: str, width: float) -> NDArray[np.float64]:
-    """Draw ideal Hall edges and the names of the sectors that they open on polar axes; the edges' angles, rad, (6,)."""
-    ideal = np.arange(6) * math.pi / 3
+def edge_axes(under: Sequence[str], hue: str, width: float) -> tuple[Figure, Axes, Axes]:
+    """A figure with the circle on which Hall edges lie, and a chart over the edges, `under` which stand these words.
+
+    The circle has the ideal edges, as wide as `width`, and the names of the sectors that they open, in `hue`.
+    """
+    figure = Figure(figsize=(WIDTH, 3.6), layout="constrained", facecolor="white")
+    grid = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.35])
+    circle, chart = figure.add_subplot(grid[0, 0], projection="polar"), figure.add_subplot(grid[0, 1])
+    ideal = np.arange(SECTORS) * SECTOR_WIDTH
     circle.vlines(ideal, 0, 1, color=LIGHT, linewidth=width, label="ideal")
-    for name, angle in zip(names, ideal, strict=True):
-        circle.text(angle + math.pi / 6, 0.6, name, ha="center", va="center", fontsize=FONT_SIZE, color=hue)
+    for name, angle in zip(NUMERALS, ideal, strict=True):
+        circle.text(angle + SECTOR_WIDTH / 2, 0.6, name, ha="center", va="center", fontsize=FONT_SIZE, color=hue)
     circle.set_xticks(ideal)
     circle.set_yticks([])
     circle.set_ylim(0, 1)
     circle.grid(False)
     circle.tick_params(labelsize=FONT_SIZE)
-    return ideal
+    chart.axhline(0.0, color=BLACK, linewidth=0.6)
+    chart.set_xticks(range(SECTORS), under)
+    chart.set_xlim(-0.6, 5.6)
+    plain(chart)
+    chart.grid(False, axis="x")
+    return figure, circle, chart
 
 
 def turn_axis(ax: Axes) -> None:

@@ -9,68 +9,34 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.transforms import Bbox
 
 from bench.report import style
-from bench.report.plots import edge_circle
+from bench.report.plots import edge_axes
 from bench.report.style import FONT_SIZE, LIGHT, LINE_WIDTH, SERIES
 from bench.signal.capture import F64, Capture
 from bench.signal.waveforms import FORWARD, REVERSE, EdgeOffsets
-from bench.signal.waveforms.sectors import NUMERALS
+from bench.signal.waveforms.sectors import NUMERALS, SECTOR_WIDTH
 
 
 def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> Figure:
-    """The six edges on the circle, and their offsets over the sector that they open, with the figures below.
+    """The six edges on the circle, and their offsets over the sector that they open.
 
     `expected` (6,) and `tolerance` in rad: the offsets that they should have, halfway between both directions.
     """
-    figure = Figure(figsize=(style.WIDTH, 4.0), layout="constrained", facecolor="white")
-    grid = figure.add_gridspec(2, 2, height_ratios=[2.6, 1.0])
-    circle = figure.add_subplot(grid[0, 0], projection="polar")
-    chart = figure.add_subplot(grid[0, 1])
-    below = figure.add_subplot(grid[1, :])
+    figure, circle, chart = edge_axes(NUMERALS, style.BLACK, 3.0)
     middle = offsets.mean.mean(axis=1)
-
-    ideal = edge_circle(circle, NUMERALS, style.BLACK, 3.0)
-    circle.vlines(ideal - middle, 0, 1, color=SERIES[0], linewidth=LINE_WIDTH, label="measured")
-    circle.legend(loc="upper center", bbox_to_anchor=(0.5, 1.3), ncols=2, frameon=False, fontsize=FONT_SIZE)
-
     x = np.arange(6)
-    wanted = np.degrees(expected)
-    chart.bar(x, 2 * np.degrees(tolerance), 0.8, wanted - np.degrees(tolerance), color=LIGHT, label="allowed")
+    circle.vlines(x * SECTOR_WIDTH - middle, 0, 1, color=SERIES[0], linewidth=LINE_WIDTH, label="measured")
+    circle.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, frameon=False, fontsize=FONT_SIZE)
+    chart.bar(x, 2 * np.degrees(tolerance), 0.8, np.degrees(expected - tolerance), color=LIGHT, label="allowed")
     for values, mark, hue, words in (
         (offsets.mean[:, FORWARD], ">", SERIES[1], "forward"),
         (offsets.mean[:, REVERSE], "<", SERIES[2], "reverse"),
         (middle, "o", SERIES[0], "middle"),
     ):
         chart.plot(x, np.degrees(values), mark, color=hue, markersize=4.5, label=words)
-    chart.axhline(0.0, color=style.BLACK, linewidth=0.6)
-    chart.set_xticks(x, NUMERALS)
-    chart.set_xlim(-0.6, 5.6)
-    style.plain(chart)
-    chart.grid(False, axis="x")
     style.axis_labels(chart, "edge that opens the sector", "ideal − measured", unit_y="el. °")
     style.legend_above(chart)
-
-    below.set_axis_off()
-    rows = {
-        "Table I": wanted,
-        "forward": np.degrees(offsets.mean[:, FORWARD]),
-        "reverse": np.degrees(offsets.mean[:, REVERSE]),
-        "middle": np.degrees(middle),
-    }
-    table = below.table(
-        [[f"{value:.2f}°".replace("-", "−") for value in values] for values in rows.values()],
-        rowLabels=list(rows),
-        colLabels=NUMERALS,
-        cellLoc="center",
-        bbox=Bbox.from_bounds(0.12, 0.0, 0.88, 1.0),
-        edges="horizontal",
-    )
-    table.auto_set_font_size(False)
-    table.set_fontsize(FONT_SIZE)
-    for cell in table.get_celld().values():
-        cell.set_linewidth(0.4)
     return figure
 
 
