@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 from bench.conform.bus import BusLine, changed, cut, remote
@@ -191,17 +191,15 @@ def other_node(device: Device) -> str:
 @bus(
     "identifier-of-type", 16, "A message on an identifier that does not match its type is ignored and counted", needs=0
 )
-def identifier_of_type(device: Device) -> str:
+def identifier_of_type(device: Device) -> Iterator[str]:
     """A request on the identifier of ALIVE, or of class 7, is not answered."""
     node = device.probe.node
-    words = []
     for name, can_id in (
         ("the identifier of ALIVE", CanId(CanClass.STATUS, node, STATUS_SLOTS[MessageType.ALIVE])),
         ("class 7", CanId(CanClass.FREE, node, 0)),
     ):
         wire = device.bus.transfer(can_id, device.probe.frame(MessageType.TIME_SYNC))
-        words.append(device.probe.silence(wire, f"a TIME_SYNC on {name}"))
-    return "; ".join(words)
+        yield device.probe.silence(wire, f"a TIME_SYNC on {name}")
 
 
 @bus("other-form", 16, "All HBP on a bus has the same form. Remote frames are not used and are ignored", needs=0)
@@ -242,9 +240,9 @@ def host_numbers(device: Device) -> str:
 def stop_frame(device: Device) -> str:
     """A frame of class 0 to the device's node, or to node 0, takes ARMED and RUNNING to IDLE."""
     words = []
-    for enter, state in ((device.arm, DriveState.ARMED), (device.run, DriveState.RUNNING)):
+    for state in (DriveState.ARMED, DriveState.RUNNING):
         for node in (device.probe.node, BROADCAST):
-            enter()
+            device.enter(state)
             device.probe.feed_every = None
             device.probe.write(device.bus.stop(node))
             beat = device.fresh()
@@ -337,23 +335,20 @@ def counters(device: Device) -> str:
 
 
 @bus("load", 16, "is the largest share of the bus that this device's streams may take", needs=STREAMS)
-def load(device: Device) -> str:
+def load(device: Device) -> Iterator[str]:
     """The load of a stream follows SPEC's formula; edges count as 1000 frames per second."""
-    line, words = device.bus, []
+    line = device.bus
     for n in (1, 3):
         chosen = device.channels[:n]
         told = device.configure(0, ids(chosen), RATE)
         layout = sample_layout([width(c) for c in chosen], line.rates.fd, told.reply.block)
         due = layout.load(line.rates, device.pwm_hz / told.asked.decimation, line.extended)
-        words.append(
-            _same_load(
-                told.reply, due, f"{counted(len(chosen), 'channel')} at {device.pwm_hz / told.asked.decimation:g} Hz"
-            )
+        yield _same_load(
+            told.reply, due, f"{counted(len(chosen), 'channel')} at {device.pwm_hz / told.asked.decimation:g} Hz"
         )
     device.stop_streams()
     if device.offers_edges:
-        words.append(_same_load(device.configure_edges(0).reply, edge_load(line.rates, line.extended), "edges"))
-    return "; ".join(words)
+        yield _same_load(device.configure_edges(0).reply, edge_load(line.rates, line.extended), "edges")
 
 
 def _same_load(reply: StreamReply, due: float, what: str) -> str:

@@ -6,12 +6,15 @@ with the reason where it does not pass. Nothing here speaks to a device.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
 from bench.conform.device import Device
 from bench.signal.verdict import Verdict
+
+Body = Callable[[Device], str | Iterable[str]]
+"""Gives the evidence, in one piece or in several."""
 
 
 class Carrier(StrEnum):
@@ -35,10 +38,15 @@ class Check:
     level: int
     chapter: int
     says: str
-    body: Callable[[Device], str]
+    body: Body
     needs: int
     carrier: Carrier = Carrier.ANY
     critical: bool = False
+
+    def evidence(self, device: Device) -> str:
+        """Make the check; see the module for what it raises."""
+        found = self.body(device)
+        return found if isinstance(found, str) else "; ".join(found)
 
 
 @dataclass(frozen=True)
@@ -53,8 +61,6 @@ class Result:
 
 TABLE: dict[str, Check] = {}
 """All checks by id; `catalogue` has them in the order in which they run."""
-
-Body = Callable[[Device], str]
 
 
 class Group:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -85,9 +85,8 @@ def unwrapped(index: int, now: int) -> int:
 
 
 @check("index-divisible", 11, "Periods whose index is divisible by `decimation` (1..65535) are sampled")
-def index_divisible(device: Device) -> str:
+def index_divisible(device: Device) -> Iterator[str]:
     """The index of every sample is divisible by the decimation."""
-    words = []
     for rate in (min(RATE, device.pwm_hz / 2), min(RATE / 7, device.pwm_hz / 3)):
         told = device.stream(device.channels[:1], rate)
         blocks = device.streamed(0, WATCHED)
@@ -96,10 +95,9 @@ def index_divisible(device: Device) -> str:
         wrong = [index for block in blocks if (index := unwrapped(block.index, now)) % decimation]
         if wrong:
             raise Failed(f"index {wrong[0]} is not divisible by {decimation}")
-        words.append(f"{len(blocks)} frames from index {blocks[0].index}, divisible by {decimation}")
+        yield f"{len(blocks)} frames from index {blocks[0].index}, divisible by {decimation}"
         device.stop_streams()
         device.probe.heard.clear()
-    return "; ".join(words)
 
 
 @check("tick-of-index", 5, "tick of PWM period 0")

@@ -310,6 +310,10 @@ class Device:
         self.arm()
         require_granted(self.probe.command(Command.START), "START")
 
+    def enter(self, state: DriveState) -> None:
+        """ARMED or RUNNING, fed; IDLE is where a check begins. Raises Unknown."""
+        {DriveState.ARMED: self.arm, DriveState.RUNNING: self.run}.get(state, lambda: None)()
+
     def fault(self) -> Heartbeat:
         """FAULT, by a watchdog that is not fed in ARMED; the heartbeat that says so. Raises Unknown."""
         self.arm()

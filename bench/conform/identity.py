@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from zlib import crc32
 
 from bench.conform.checks import Group
@@ -140,11 +141,11 @@ def blob_clipped(device: Device) -> str:
 
 
 @check("blob-past-end", 5, "An offset past the end is refused (OUT_OF_RANGE, `detail` = the length)")
-def blob_past_end(device: Device) -> str:
+def blob_past_end(device: Device) -> Iterator[str]:
     """A read past the end is refused."""
     probe, total = device.probe, len(device.blob)
     offsets = (total + 1, 0xFFFFFFFF)
-    return "; ".join(
+    return (
         f"from {at}: "
         + probe.refused(ErrorCode.OUT_OF_RANGE, float(total), MessageType.BLOB_READ, BlobRead(0, 16, at).pack())
         for at in offsets
@@ -152,9 +153,9 @@ def blob_past_end(device: Device) -> str:
 
 
 @check("other-blobs", 5, "every other one, 1 and 2 included, is refused (UNKNOWN_ID, `detail` = the blob)")
-def other_blobs(device: Device) -> str:
+def other_blobs(device: Device) -> Iterator[str]:
     """Blobs other than 0 are refused."""
-    return "; ".join(
+    return (
         f"blob {blob}: "
         + device.probe.refused(ErrorCode.UNKNOWN_ID, blob, MessageType.BLOB_READ, BlobRead(blob, 16, 0).pack())
         for blob in OTHER_BLOBS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from zlib import crc32
 
 from bench.conform.checks import Carrier, Group
@@ -112,34 +112,18 @@ def bad_crc(device: Device) -> bytes:
     return wrapped(body + crc, summed=False)
 
 
-def bad_length(device: Device) -> bytes:
-    """A frame whose `len` is one more than its payload, with a valid CRC."""
+def bad_length(device: Device, number: int, payload: bytes = b"") -> bytes:
+    """A frame whose `len` is this number, with a valid CRC."""
     body = _body(device)
-    return wrapped(body[:4] + b"\x01\0" + body[6:])
-
-
-def bad_cobs(device: Device) -> bytes:
-    """A frame whose first code runs past its end."""
-    return b"\0" + b"\xfe" + wrapped(_body(device))[2:]
-
-
-def too_short(device: Device) -> bytes:
-    """A frame of 11 bytes with a valid CRC."""
-    return wrapped(_body(device)[:7])
-
-
-def too_long(device: Device) -> bytes:
-    """A frame of 1037 bytes, valid otherwise."""
-    body = _body(device)
-    return wrapped(body[:4] + (MAX_PAYLOAD + 1).to_bytes(2, "little") + body[6:] + bytes(MAX_PAYLOAD + 1))
+    return wrapped(body[:4] + number.to_bytes(2, "little") + body[6:] + payload)
 
 
 DAMAGE: dict[str, tuple[str, Callable[[Device], bytes]]] = {
     "crc": ("a frame with a wrong CRC", bad_crc),
-    "length": ("a frame whose len does not match its length", bad_length),
-    "cobs": ("a frame whose COBS code runs past its end", bad_cobs),
-    "short": ("a frame of 11 bytes", too_short),
-    "too-long": ("a frame of 1037 bytes", too_long),
+    "length": ("a frame whose len does not match its length", lambda device: bad_length(device, 1)),
+    "cobs": ("a frame whose COBS code runs past its end", lambda device: b"\0\xfe" + wrapped(_body(device))[2:]),
+    "short": ("a frame of 11 bytes", lambda device: wrapped(_body(device)[:7])),
+    "too-long": ("a frame of 1037 bytes", lambda device: bad_length(device, MAX_PAYLOAD + 1, bytes(MAX_PAYLOAD + 1))),
 }
 
 
@@ -249,22 +233,20 @@ def hello_of_any_major(device: Device) -> str:
 
 
 @check("unknown-type", 3, "an unknown type, a wrong length, a value that is not allowed, a state that forbids it")
-def unknown_type(device: Device) -> str:
+def unknown_type(device: Device) -> Iterator[str]:
     """Reserved types are refused with UNKNOWN_TYPE and the type."""
-    return "; ".join(device.probe.refused(ErrorCode.UNKNOWN_TYPE, kind, kind) for kind in UNKNOWN_TYPES)
+    return (device.probe.refused(ErrorCode.UNKNOWN_TYPE, kind, kind) for kind in UNKNOWN_TYPES)
 
 
 @check("tid", 3, "a request with tid 0, are refused (BAD_VALUE, `detail` = the tid) and not executed")
-def tid(device: Device) -> str:
+def tid(device: Device) -> tuple[str, ...]:
     """Requests need a tid; ALIVE and SETPOINT must not have one."""
     probe = device.probe
     none = probe.ask_frame(probe.frame(TIME_SYNC, tid=0))
     one = probe.ask_frame(probe.frame(MessageType.ALIVE, bytes(4), tid=5))
-    return "; ".join(
-        (
-            refusal(none, ErrorCode.BAD_VALUE, 0, "TIME_SYNC with tid 0"),
-            refusal(one, ErrorCode.BAD_VALUE, 5, "ALIVE with tid 5"),
-        )
+    return (
+        refusal(none, ErrorCode.BAD_VALUE, 0, "TIME_SYNC with tid 0"),
+        refusal(one, ErrorCode.BAD_VALUE, 5, "ALIVE with tid 5"),
     )
 
 
@@ -283,18 +265,18 @@ def _absent(device: Device) -> int:
 
 
 @check("bad-length", 3, "A request must have exactly the length given here")
-def bad_length_refused(device: Device) -> str:
+def bad_length_refused(device: Device) -> Iterator[str]:
     """A wrong length is refused with BAD_LENGTH and the payload's length."""
     probe = device.probe
     kinds = (
         (MessageType.PARAM_GET, 5), (MessageType.BLOB_READ, 7), (TIME_SYNC, 1), (MessageType.STREAM_GET, 3),
         (MessageType.STREAM_SET, 7), (MessageType.HELLO, 7),
     )  # fmt: skip
-    return "; ".join(probe.refused(ErrorCode.BAD_LENGTH, n, kind, bytes(n)) for kind, n in kinds)
+    return (probe.refused(ErrorCode.BAD_LENGTH, n, kind, bytes(n)) for kind, n in kinds)
 
 
 @check("order-of-checks", 3, ORDER)
-def order_of_checks(device: Device) -> str:
+def order_of_checks(device: Device) -> Iterator[str]:
     """Of two errors, the one that is checked first is reported."""
     probe = device.probe
     frame = probe.frame
@@ -314,7 +296,7 @@ def order_of_checks(device: Device) -> str:
     if not probe.line.bus and device.hello.nodes < 255:
         absent = frame(TIME_SYNC, flags=2)._replace(node=_absent(device))
         pairs.insert(0, ("an absent node and another major", absent, ErrorCode.UNKNOWN_NODE))
-    return "; ".join(refusal(probe.ask_frame(asked), code, None, words) for words, asked, code in pairs)
+    return (refusal(probe.ask_frame(asked), code, None, words) for words, asked, code in pairs)
 
 
 # -- retries ----------------------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -81,19 +82,19 @@ def _refused(device: Device, record: Channel, value: float, code: ErrorCode, det
 
 
 @check("read-only", 5, "Refused, in this order: UNKNOWN_ID; READ_ONLY; BAD_VALUE")
-def read_only(device: Device) -> str:
+def read_only(device: Device) -> Iterator[str]:
     """A READ_ONLY parameter cannot be set: not to its present value, not to NaN, not beyond its range."""
     record = device.parameters(Flag.READ_ONLY)[0]
     told = device.parameter(record)
     values = (told.value, math.nan, _beyond(told.hi, math.inf))
-    return "; ".join(_refused(device, record, value, ErrorCode.READ_ONLY, record.id) for value in values)
+    return (_refused(device, record, value, ErrorCode.READ_ONLY, record.id) for value in values)
 
 
 @check("not-finite", 5, "BAD_VALUE (not finite, or not whole for a WHOLE parameter; `detail` = the value)")
-def not_finite(device: Device) -> str:
+def not_finite(device: Device) -> Iterator[str]:
     """NaN and infinity are refused before the range is checked."""
     records = device.parameters(without=Flag.READ_ONLY)[:SOME]
-    return "; ".join(
+    return (
         _refused(device, record, value, ErrorCode.BAD_VALUE, value)
         for record in records
         for value in (math.nan, math.inf, -math.inf)
@@ -101,18 +102,16 @@ def not_finite(device: Device) -> str:
 
 
 @check("whole", 5, "BAD_VALUE (not finite, or not whole for a WHOLE parameter; `detail` = the value)")
-def whole(device: Device) -> str:
+def whole(device: Device) -> Iterator[str]:
     """A WHOLE parameter cannot be set to a fraction, whether within or beyond its range."""
-    words = []
     for record in device.parameters(Flag.WHOLE, Flag.READ_ONLY)[:SOME]:
         told = device.parameter(record)
         values = [told.value + (0.5 if told.value < told.hi else -0.5), told.hi + 1.5]
-        words += [_refused(device, record, v, ErrorCode.BAD_VALUE, v) for v in values if abs(v) < 1 << 22]
-    return "; ".join(words)
+        yield from (_refused(device, record, v, ErrorCode.BAD_VALUE, v) for v in values if abs(v) < 1 << 22)
 
 
 @check("beyond-range", 5, "OUT_OF_RANGE (`detail` = the violated limit)")
-def beyond_range(device: Device) -> str:
+def beyond_range(device: Device) -> list[str]:
     """The next value beyond either limit is refused with that limit, and never clipped."""
     words = []
     for record in device.parameters(without=Flag.READ_ONLY)[:SOME]:
@@ -124,7 +123,7 @@ def beyond_range(device: Device) -> str:
                 words.append(_refused(device, record, value, ErrorCode.OUT_OF_RANGE, limit))
     if not words:
         raise NotApplicable("every float32 is within range")
-    return "; ".join(words)
+    return words
 
 
 def _beyond(limit: float, direction: float) -> float:

@@ -196,7 +196,7 @@ class _Course:
         if check.needs >= STATES:
             self._rig.drive.on = True  # from now on it gets a STOP
         try:
-            evidence = check.body(device)
+            evidence = check.evidence(device)
         except Ended as ended:
             verdict, evidence = ended.verdict, str(ended)
         except PayloadError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterator
 
 from bench.conform.checks import Group
 from bench.conform.device import Device
@@ -60,18 +61,17 @@ def accepted(device: Device) -> str:
 @check(
     "rejections", 8, "a setpoint is accepted as a whole, or rejected as a whole by the first of these checks that fails"
 )
-def rejections(device: Device) -> str:
+def rejections(device: Device) -> Iterator[str]:
     """State, finite values, mode: an EVENT reports the first that is wrong."""
-    words = [_rejected(device, "zero in IDLE", (1, 7), ErrorCode.WRONG_STATE, DriveState.IDLE)]
-    words.append(_rejected(device, "NaN in IDLE", (1, 8, 0.0, math.nan), ErrorCode.WRONG_STATE, DriveState.IDLE))
+    yield _rejected(device, "zero in IDLE", (1, 7), ErrorCode.WRONG_STATE, DriveState.IDLE)
+    yield _rejected(device, "NaN in IDLE", (1, 8, 0.0, math.nan), ErrorCode.WRONG_STATE, DriveState.IDLE)
     device.run()
     mode = accepted_mode(device)
     nan = (mode, 9, 0.0, math.nan)
-    words.append(_rejected(device, f"{mode.name} 0 with value2 NaN", nan, ErrorCode.BAD_VALUE, math.nan))
+    yield _rejected(device, f"{mode.name} 0 with value2 NaN", nan, ErrorCode.BAD_VALUE, math.nan)
     unknown = (NO_MODE, 10, 0.0, math.inf)
-    words.append(_rejected(device, f"mode {NO_MODE} with value2 inf", unknown, ErrorCode.BAD_VALUE, math.inf))
-    words.append(_rejected(device, f"mode {NO_MODE}", (NO_MODE, 11), ErrorCode.NOT_SUPPORTED, NO_MODE))
-    return "; ".join(words)
+    yield _rejected(device, f"mode {NO_MODE} with value2 inf", unknown, ErrorCode.BAD_VALUE, math.inf)
+    yield _rejected(device, f"mode {NO_MODE}", (NO_MODE, 11), ErrorCode.NOT_SUPPORTED, NO_MODE)
 
 
 def _rejected(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from bench.conform.checks import Group
@@ -27,20 +27,21 @@ LATE, LATE_SHARE = 0.02, 0.1
 """s, and the share of the watchdog's time, the larger of which is the allowed delay: SPEC gives no value."""
 OTHER_ARGUMENT = 0xDEADBEEF
 UNFED = 0xFFFF
+ON_WATCH = (DriveState.ARMED, DriveState.RUNNING)
+"""States in which the watchdog is at work."""
 
 
 @check("stop-obeyed", 7, "STOP is never refused", critical=True)
 def stop_obeyed(device: Device) -> str:
     """STOP takes ARMED and RUNNING to IDLE, with any argument, and a later heartbeat shows it."""
     words = []
-    ways: tuple[tuple[str, Callable[[], None], int], ...] = (
-        ("IDLE", lambda: None, 0),
-        ("ARMED", device.arm, OTHER_ARGUMENT),
-        ("RUNNING", device.run, 0),
-        ("RUNNING with an argument", device.run, OTHER_ARGUMENT),
-    )
-    for name, enter, argument in ways:
-        enter()
+    for name, state, argument in (
+        ("IDLE", DriveState.IDLE, 0),
+        ("ARMED", DriveState.ARMED, OTHER_ARGUMENT),
+        ("RUNNING", DriveState.RUNNING, 0),
+        ("RUNNING with an argument", DriveState.RUNNING, OTHER_ARGUMENT),
+    ):
+        device.enter(state)
         device.probe.feed_every = None
         answer = device.probe.command(Command.STOP, argument)
         accepted(answer, f"STOP in {name}")
@@ -67,9 +68,9 @@ def _still(device: Device, state: DriveState) -> str:
 
 
 @check("unknown-command", 7, "An unknown command is refused (BAD_VALUE, `detail` = the command)")
-def unknown_command(device: Device) -> str:
+def unknown_command(device: Device) -> Iterator[str]:
     """Commands 0, 5 and 255 are refused."""
-    return "; ".join(refusal(device.probe.command(n), ErrorCode.BAD_VALUE, n, f"command {n}") for n in (0, 5, 255))
+    return (refusal(device.probe.command(n), ErrorCode.BAD_VALUE, n, f"command {n}") for n in (0, 5, 255))
 
 
 @check("start-needs-arm", 7, "In any other state a command is refused with WRONG_STATE (`detail` = the state)")
@@ -119,13 +120,8 @@ def stop_each_time(device: Device) -> str:
 def outputs_as_told(device: Device) -> str:
     """outputs_on is 1 in RUNNING, and 0 in IDLE and ARMED."""
     said = {}
-    ways: tuple[tuple[DriveState, Callable[[], None]], ...] = (
-        (DriveState.IDLE, lambda: None),
-        (DriveState.ARMED, device.arm),
-        (DriveState.RUNNING, device.run),
-    )
-    for state, enter in ways:
-        enter()
+    for state in (DriveState.IDLE, DriveState.ARMED, DriveState.RUNNING):
+        device.enter(state)
         beat = device.fresh()
         if beat.state != state:
             raise Unknown(f"the state is {state_name(beat.state)}, not {state.name}")
@@ -147,20 +143,17 @@ def arguments_first(device: Device) -> str:
 
 
 @check("wrong-states", 7, "In any other state a command is refused with WRONG_STATE (`detail` = the state)")
-def wrong_states(device: Device) -> str:
+def wrong_states(device: Device) -> Iterator[str]:
     """ARM in RUNNING, ARM and START in FAULT, and FAULT_CLEAR in IDLE are refused with the state."""
     probe, token = device.probe, device.hello.boot_id
-    words = [refusal(probe.command(Command.FAULT_CLEAR), ErrorCode.WRONG_STATE, DriveState.IDLE, "FAULT_CLEAR in IDLE")]
+    yield refusal(probe.command(Command.FAULT_CLEAR), ErrorCode.WRONG_STATE, DriveState.IDLE, "FAULT_CLEAR in IDLE")
     device.run()
-    words.append(
-        refusal(probe.command(Command.ARM, token), ErrorCode.WRONG_STATE, DriveState.RUNNING, "ARM in RUNNING")
-    )
+    yield refusal(probe.command(Command.ARM, token), ErrorCode.WRONG_STATE, DriveState.RUNNING, "ARM in RUNNING")
     probe.feed_every = None
     device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
     for command, argument in ((Command.ARM, token), (Command.START, 0)):
         answer = probe.command(command, argument)
-        words.append(refusal(answer, ErrorCode.WRONG_STATE, DriveState.FAULT, f"{command.name} in FAULT"))
-    return "; ".join(words)
+        yield refusal(answer, ErrorCode.WRONG_STATE, DriveState.FAULT, f"{command.name} in FAULT")
 
 
 @check("stop-in-fault", 7, "STOP is never refused")
@@ -176,7 +169,7 @@ def stop_in_fault(device: Device) -> str:
 
 
 @check("fault-clear", 7, "exactly the `faults` of the heartbeat, else FAULTS_CHANGED (`detail` = the faults now)")
-def fault_clear(device: Device) -> str:
+def fault_clear(device: Device) -> Iterator[str]:
     """FAULT_CLEAR must name exactly the present faults, or nothing is cleared."""
     probe = device.probe
     beat = device.fault()
@@ -184,16 +177,14 @@ def fault_clear(device: Device) -> str:
         raise Failed(
             f"faults {faults_text(beat.faults)}, first_fault {faults_text(beat.first_fault)}: the watchdog tripped"
         )
-    words = []
     for other in (0, int(beat.faults) | Fault.INTERNAL):
         answer = probe.command(Command.FAULT_CLEAR, other)
-        words.append(refusal(answer, ErrorCode.FAULTS_CHANGED, float(beat.faults), f"FAULT_CLEAR 0x{other:x}"))
+        yield refusal(answer, ErrorCode.FAULTS_CHANGED, float(beat.faults), f"FAULT_CLEAR 0x{other:x}")
     _still(device, DriveState.FAULT)
-    words.append(accepted(probe.command(Command.FAULT_CLEAR, beat.faults), f"FAULT_CLEAR 0x{int(beat.faults):x}"))
+    yield (words := accepted(probe.command(Command.FAULT_CLEAR, beat.faults), f"FAULT_CLEAR 0x{int(beat.faults):x}"))
     after = device.fresh()
     if after.state != DriveState.IDLE or after.faults or after.first_fault:
-        raise Failed(f"{words[-1]}, then {state_name(after.state)}, faults 0x{int(after.faults):x}")
-    return "; ".join(words)
+        raise Failed(f"{words}, then {state_name(after.state)}, faults 0x{int(after.faults):x}")
 
 
 @check("arm-lapses", 7, "ARMED lapses to IDLE 5 s after the last ARM")
@@ -256,13 +247,12 @@ class Trip:
 
 def trips(device: Device) -> list[Trip]:
     """The watchdog in ARMED and in RUNNING, measured once for all that look at it. Raises Failed where it is dead."""
-    ways = ((device.arm, DriveState.ARMED), (device.run, DriveState.RUNNING))
-    return device.once("trips", lambda: [_trip(device, *way) for way in ways])
+    return device.once("trips", lambda: [_trip(device, state) for state in ON_WATCH])
 
 
-def _trip(device: Device, enter: Callable[[], None], state: DriveState) -> Trip:
+def _trip(device: Device, state: DriveState) -> Trip:
     device.rest()
-    enter()
+    device.enter(state)
     device.probe.listen(2 * BEAT_PERIOD)
     first, last = device.unfed()
     return trip_after(device, state, first, last, lambda: None)
@@ -325,8 +315,8 @@ def _judged(device: Device, wrong: Callable[[Trip], bool]) -> str:
 def told(device: Device) -> str:
     """In ARMED and RUNNING, watchdog_ms in the heartbeat is the time left."""
     words = []
-    for state, enter in ((DriveState.ARMED, device.arm), (DriveState.RUNNING, device.run)):
-        enter()
+    for state in ON_WATCH:
+        device.enter(state)
         left = device.fresh().watchdog_ms
         if left == UNFED or left > 1e3 * device.watchdog + 1:
             raise Failed(f"watchdog_ms is {left} in {state.name}, the whole time is {1e3 * device.watchdog:.0f} ms")

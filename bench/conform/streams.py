@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from bench.conform.checks import Carrier, Group
 from bench.conform.device import Configured, Device, ids, width
@@ -30,7 +30,7 @@ def absent(device: Device) -> int:
 
 
 @check("set-refusals", 11, ORDER)
-def set_refusals(device: Device) -> str:
+def set_refusals(device: Device) -> Iterator[str]:
     """Each error in STREAM_SET is refused with its code and detail."""
     first, other = device.channels[0].id, absent(device)
     rows: list[tuple[str, tuple[int, Sequence[int], int, int, int], ErrorCode, float]] = [
@@ -46,11 +46,11 @@ def set_refusals(device: Device) -> str:
         rows.append(("edges with two channels", (0, [first, first], 1, 20, 2), ErrorCode.BAD_VALUE, 2))
     else:
         rows.append(("edges", (0, [], 1, 20, 2), ErrorCode.NOT_SUPPORTED, 2))
-    return "; ".join(refusal(device.stream_set(*asked), code, detail, words) for words, asked, code, detail in rows)
+    return (refusal(device.stream_set(*asked), code, detail, words) for words, asked, code, detail in rows)
 
 
 @check("set-order", 11, ORDER)
-def set_order(device: Device) -> str:
+def set_order(device: Device) -> Iterator[str]:
     """Of two errors in STREAM_SET, the one that is checked first is reported."""
     first, other = device.channels[0].id, absent(device)
     rows: list[tuple[str, tuple[int, Sequence[int], int, int, int], ErrorCode]] = [
@@ -59,11 +59,10 @@ def set_order(device: Device) -> str:
         ("an unknown channel, then a repeated one", (0, [other, first, first], 1, 20, 0), ErrorCode.UNKNOWN_ID),
         ("a repeated channel, then an unknown one", (0, [first, first, other], 1, 20, 0), ErrorCode.BAD_VALUE),
     ]
-    found = [refusal(device.stream_set(*asked), code, None, words) for words, asked, code in rows]
+    yield from (refusal(device.stream_set(*asked), code, None, words) for words, asked, code in rows)
     device.stream(device.channels[:1], SLOW_HZ)
     running = device.stream_set(0, [other], 1, 20, 0)
-    found.append(refusal(running, ErrorCode.UNKNOWN_ID, other, "a running stream and an unknown channel"))
-    return "; ".join(found)
+    yield refusal(running, ErrorCode.UNKNOWN_ID, other, "a running stream and an unknown channel")
 
 
 @check("busy", 11, "the stream is not running")
@@ -102,9 +101,8 @@ def cfg_id(device: Device) -> str:
 
 
 @check("reply-fields", 5, "bytes of one record")
-def reply_fields(device: Device) -> str:
+def reply_fields(device: Device) -> Iterator[str]:
     """The reply to STREAM_SET has the correct sample_bytes and block."""
-    words = []
     for n in (1, 3, len(device.channels)):
         chosen = device.fitting(device.channels[:n])
         told = device.configure(0, ids(chosen), SLOW_HZ, latency_ms=200)
@@ -114,8 +112,7 @@ def reply_fields(device: Device) -> str:
                 f"{counted(len(chosen), 'channel')}: stream {told.reply.stream}, "
                 f"{told.reply.sample_bytes} bytes, not {size}"
             )
-        words.append(f"{counted(len(chosen), 'channel')}: {size} bytes, {_block(device, told)}")
-    return "; ".join(words)
+        yield f"{counted(len(chosen), 'channel')}: {size} bytes, {_block(device, told)}"
 
 
 def _block(device: Device, told: Configured) -> str:
@@ -157,19 +154,17 @@ def get(device: Device) -> str:
     5,
     "Refused: OUT_OF_RANGE (a stream above 3, `detail` = 3), UNKNOWN_ID (a free stream, `detail` = its number)",
 )
-def get_refusals(device: Device) -> str:
+def get_refusals(device: Device) -> tuple[str, ...]:
     """STREAM_GET is refused for a free stream and for one above 3."""
     probe = device.probe
-    return "; ".join(
-        (
-            probe.refused(ErrorCode.OUT_OF_RANGE, 3, MessageType.STREAM_GET, StreamGet(4).pack()),
-            probe.refused(ErrorCode.UNKNOWN_ID, 2, MessageType.STREAM_GET, StreamGet(2).pack()),
-        )
+    return (
+        probe.refused(ErrorCode.OUT_OF_RANGE, 3, MessageType.STREAM_GET, StreamGet(4).pack()),
+        probe.refused(ErrorCode.UNKNOWN_ID, 2, MessageType.STREAM_GET, StreamGet(2).pack()),
     )
 
 
 @check("start-free", 11, "STREAM_START of a free stream is refused")
-def start_free(device: Device) -> str:
+def start_free(device: Device) -> list[str]:
     """STREAM_START of a free stream is refused with its number, and starts none."""
     probe = device.probe
     device.configure(0, [device.channels[0].id], SLOW_HZ)
@@ -179,7 +174,7 @@ def start_free(device: Device) -> str:
         words.append(refusal(answer, ErrorCode.UNKNOWN_ID, lowest, f"STREAM_START 0x{mask:x}"))
     if probe.get(StreamGet(0), StreamInfo).running:
         raise Failed(f"{words[0]}, but stream 0 is running")
-    return "; ".join(words)
+    return words
 
 
 @check("mask-0", 11, "A mask of 0 starts or stops none")
@@ -228,15 +223,13 @@ def start_again(device: Device) -> str:
 
 
 @check("edges-set", 11, "no channels, `sample_bytes` is 8, `decimation` is ignored")
-def edges_set(device: Device) -> str:
+def edges_set(device: Device) -> Iterator[str]:
     """A stream of edges accepts any decimation."""
     device.require_edges()
-    words = []
     for decimation in (0, 7):
         answer = device.stream_set(1, (), decimation, 20, StreamEvent.EDGES)
         accepted(answer, f"edges with decimation {decimation}")
         reply = read(answer.frame, StreamReply)
         if reply.sample_bytes != 8 or not reply.cfg_id:
             raise Failed(f"edges: sample_bytes {reply.sample_bytes}, cfg_id {reply.cfg_id}")
-        words.append(f"decimation {decimation}: cfg_id {reply.cfg_id}, 8 bytes")
-    return "; ".join(words)
+        yield f"decimation {decimation}: cfg_id {reply.cfg_id}, 8 bytes"
