@@ -25,6 +25,7 @@ from bench.signal.waveforms import Thd, thd_by_angle
 from bench.signal.waveforms.harmonics import ORDER, PERIODS
 from bench.signal.waveforms.sectors import NUMERALS, edge_passages
 from bench.view import markdown, schema
+from bench.view.plane import FAINT, circle
 from protocol.streams import EdgeChunk, SampleChunk
 
 SPAN = 1.0  # s
@@ -38,7 +39,6 @@ TRAIL, TRAIL_POINTS = 0.2, 400  # s of the current vector's way, in so many poin
 FORWARD, REVERSE = "forward", "reverse"
 WAYS: dict[str, RGB] = {FORWARD: (240, 240, 240), REVERSE: (136, 128, 120)}
 X_RANGE, Y_RANGE = (-1.55, 1.55), (-1.4, 1.25)  # of the current plane
-_CIRCLE, _AXIS, _FAINT = (110, 110, 110), (58, 58, 58), (150, 150, 150)
 
 _CHANGES = {
     batch.component_descriptor() for batch in rr.BarChart.from_fields(values=np.zeros(1)).as_component_batches()
@@ -126,21 +126,10 @@ class LastSecond:
             at = np.append(at, more * at[-1])  # a bar without a height
             look = rr.BarChart(np.zeros(len(at)), abscissa=at, widths=np.full(len(at), width), color=colour)
             yield entity, [part for part in look.as_component_batches() if part.component_descriptor() not in _CHANGES]
-        if schema.DQ not in self.views:
-            return
-        turn = np.linspace(0, 2 * math.pi, 121)
-        circle = np.stack([np.cos(turn), np.sin(turn)], axis=1).tolist()
-        axes = [[(-1.15, 0.0), (1.15, 0.0)], [(0.0, -1.15), (0.0, 1.15)]]
-        yield (
-            f"{schema.DQ}/lines",
-            rr.LineStrips2D([circle, *axes], colors=[_CIRCLE, _AXIS, _AXIS], radii=[-1.2, -0.6, -0.6], draw_order=-10),
-        )
-        places, names = [(1.3, 0.0), (0.0, -1.28)], ["i_d", "i_q"]
-        colours = [TABLE[name].rgb for name in names]
-        yield (
-            f"{schema.DQ}/names",
-            rr.Points2D(places, labels=names, colors=colours, radii=0.0, show_labels=True, draw_order=-5),
-        )
+        if schema.DQ in self.views:
+            axes = [[(-1.15, 0.0), (1.15, 0.0)], [(0.0, -1.15), (0.0, 1.15)]]
+            places = {"i_d": (1.3, 0.0), "i_q": (0.0, -1.28)}
+            yield from circle(schema.DQ, axes, [(at, name, TABLE[name].rgb) for name, at in places.items()])
 
     def _bars(self) -> Iterator[tuple[str, Values, float, RGB]]:
         """Entity, places on the axis, width and colour of every bar chart."""
@@ -245,7 +234,7 @@ class LastSecond:
         parts: list[Part] = [
             (f"{schema.DQ}/trail", rr.LineStrips2D([trail.tolist()], colors=[TABLE["i_q"].rgb], radii=[-1.0])),
             (f"{schema.DQ}/mean", rr.Arrows2D(vectors=[(mean_d, mean_q)], colors=[(255, 255, 255)], radii=[-1.6])),
-            (f"{schema.DQ}/circle", rr.Points2D([(-1.1, -1.2)], labels=[f"circle {full:g} A"], colors=[_FAINT],
+            (f"{schema.DQ}/circle", rr.Points2D([(-1.1, -1.2)], labels=[f"circle {full:g} A"], colors=[FAINT],
                                                 radii=0.0, show_labels=True)),
         ]  # fmt: skip
         if all(name in values for name in schema.DQ_REFERENCES):

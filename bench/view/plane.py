@@ -8,7 +8,7 @@ beside it, so that small vectors stay visible.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,13 +21,29 @@ from bench.view import schema
 
 X_RANGE, Y_RANGE = (-2.75, 1.3), (-1.25, 1.25)
 _TEXT_X = -1.95
-_CIRCLE, _RAY, _FAINT = (110, 110, 110), (58, 58, 58), (150, 150, 150)
+_CIRCLE, _RAY, FAINT = (110, 110, 110), (58, 58, 58), (150, 150, 150)
 _POINT = 0.0  # a radius: labels only
 _HOLD = 0.98  # a picture: how slowly a scale shrinks again
 
 
 Picture = tuple[list[tuple[float, float]], list[str]]
 """Ends of the arrows, as rerun has them, and the lines of the legend."""
+
+
+Place = tuple[float, float]
+
+
+def circle(
+    entity: str, rays: Sequence[Sequence[Place]], names: Sequence[tuple[Place, str, RGB]]
+) -> Iterator[tuple[str, rr.AsComponents]]:
+    """Yield entity and static content of what lies behind vectors: a circle of radius 1, rays, and names in colours."""
+    turn = np.linspace(0, 2 * math.pi, 121)
+    strips = [np.stack([np.cos(turn), -np.sin(turn)], axis=1).tolist(), *rays]
+    colours, radii = [_CIRCLE] + [_RAY] * len(rays), [-1.2] + [-0.6] * len(rays)
+    yield f"{entity}/lines", rr.LineStrips2D(strips, colors=colours, radii=radii, draw_order=-10)
+    places, labels, hues = zip(*names, strict=True)
+    look = rr.Points2D(places, labels=labels, colors=hues, radii=_POINT, show_labels=True, draw_order=-5)
+    yield f"{entity}/names", look
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,28 +84,10 @@ class Plane:
         """Yield entity and static content: circle, sector borders and names, phase axes; how arrows and legend look."""
         if not self.contents:
             return
-        angles = np.linspace(0, 2 * math.pi, 121)
-        circle = np.stack([np.cos(angles), -np.sin(angles)], axis=1)
         rays = [[(0.0, 0.0), _xy(k * math.pi / 3)] for k in range(6)]
-        yield (
-            f"{schema.PLANE}/lines",
-            rr.LineStrips2D(
-                [circle.tolist(), *rays], colors=[_CIRCLE] + [_RAY] * 6, radii=[-1.2] + [-0.6] * 6, draw_order=-10
-            ),
-        )
-        names = [(_xy(math.radians(60 * k + 30), 0.86), NUMERALS[k], _FAINT) for k in range(6)]
+        names = [(_xy(math.radians(60 * k + 30), 0.86), NUMERALS[k], FAINT) for k in range(6)]
         names += [(_xy(2 * math.pi / 3 * k, 1.13), name, TABLE[f"i_{name}"].rgb) for k, name in enumerate("abc")]
-        yield (
-            f"{schema.PLANE}/names",
-            rr.Points2D(
-                [xy for xy, _, _ in names],
-                labels=[text for _, text, _ in names],
-                colors=[colour for _, _, colour in names],
-                radii=_POINT,
-                show_labels=True,
-                draw_order=-5,
-            ),
-        )
+        yield from circle(schema.PLANE, rays, names)
         arrows = self._arrows(dict.fromkeys(self._used, 0.0), {})
         colours = [arrow.colour for arrow in arrows]
         yield schema.VECTORS, rr.Arrows2D.from_fields(colors=colours, radii=[-arrow.radius for arrow in arrows])
