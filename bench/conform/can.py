@@ -6,11 +6,11 @@ import struct
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
-from bench.conform.bus import BusLine, changed, cut, remote
 from bench.conform.checks import Carrier, Group
 from bench.conform.data import bus_samples
 from bench.conform.device import Device, ids, width
 from bench.conform.levels import CAN, MOTION, STATES, STREAMS
+from bench.conform.lines import BusLine, changed, cut, remote
 from bench.conform.motion import turned
 from bench.conform.probe import GRACE, HELLO, accepted, read, refusal
 from bench.conform.verdicts import Failed, NotApplicable, Unknown

@@ -16,8 +16,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench.conform.bus import BusLine
-from bench.conform.probe import Answer, Heard, Probe, read, state_name
+from bench.conform.lines import BusLine, Heard
+from bench.conform.probe import Answer, Probe, read, state_name
 from bench.conform.verdicts import Ended, Failed, NotApplicable, Unknown
 from bench.device.safety import is_off
 from bench.rig.interrupts import undisturbed

@@ -13,20 +13,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
+from bench.conform.lines import BusFrame, Heard, Line
 from bench.conform.verdicts import Failed, Unknown
 from protocol.codes import Command, DriveState, ErrorCode, MessageType
 from protocol.framing import (
-    CONNECT_PREAMBLE,
     MAJOR,
     MAX_PAYLOAD,
-    Deframer,
     Frame,
-    encode_frame,
     encoded_length,
-    parse_frame,
-    wrapped,
 )
 from protocol.links import Link
 from protocol.messages import (
@@ -62,15 +58,6 @@ class NoAnswer(Failed):
 
 
 @dataclass(frozen=True)
-class Heard:
-    """A message as it came, at `at` s of the link's clock; `transfer` is its transfer id on CAN."""
-
-    at: float
-    frame: Frame
-    transfer: int = 0
-
-
-@dataclass(frozen=True)
 class Answer:
     """The answer to a request, `after` s after it was sent."""
 
@@ -91,61 +78,6 @@ class Answer:
         error = self.error
         words = "answered" if error is None else f"{ErrorCode(error.code).name}, detail {error.detail:.9g}"
         return f"{words} after {1e3 * self.after:.0f} ms"
-
-
-@dataclass(frozen=True)
-class BusFrame:
-    """A stream frame of this device on CAN: its slot in 0..15 of the edges, or 0..31 of the samples, and its data."""
-
-    at: float
-    edges: bool
-    slot: int
-    data: bytes
-
-
-class Line(Protocol):
-    """The language of a link, for frames of any kind."""
-
-    bus: bool
-
-    def encode(self, frame: Frame, reserved: int = 0) -> bytes:
-        """What is written for a frame."""
-
-    def preamble(self) -> bytes:
-        """What is written before HELLO."""
-
-    def feed(self, data: bytes, at: float) -> list[Heard | BusFrame]:
-        """What these bytes complete."""
-
-    @property
-    def damaged(self) -> int:
-        """Damaged messages that came."""
-
-
-class ByteLine:
-    """Serial ports and TCP."""
-
-    bus = False
-
-    def __init__(self) -> None:
-        self._deframer = Deframer()
-
-    def encode(self, frame: Frame, reserved: int = 0) -> bytes:
-        """See `Line`."""
-        return encode_frame(frame) if not reserved else wrapped(frame.pack()[:7] + bytes([reserved]) + frame.payload)
-
-    def preamble(self) -> bytes:
-        """See `Line`."""
-        return CONNECT_PREAMBLE
-
-    def feed(self, data: bytes, at: float) -> list[Heard | BusFrame]:
-        """See `Line`."""
-        return [Heard(at, parse_frame(raw)) for raw in self._deframer.feed(data)]
-
-    @property
-    def damaged(self) -> int:
-        """See `Line`."""
-        return self._deframer.counters.bad
 
 
 @dataclass

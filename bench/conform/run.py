@@ -11,12 +11,12 @@ from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 
-from bench.conform.bus import BusLine
 from bench.conform.catalogue import chosen
 from bench.conform.checks import Carrier, Check, Result
 from bench.conform.device import Device, NotAtRest
 from bench.conform.levels import MOTION, STATES
-from bench.conform.probe import ByteLine, Line, NoAnswer, Probe
+from bench.conform.lines import line_of
+from bench.conform.probe import NoAnswer, Probe
 from bench.conform.verdicts import Ended
 from bench.device.client import Client
 from bench.device.node import DRIVE, Node
@@ -29,7 +29,6 @@ from bench.rig.restore import failures_of, put_streams_back
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.signal.verdict import Verdict
-from protocol.canmap.host import CanWire
 from protocol.errors import HbpError, LinkError, NoReply, Refused, RemoteProtocolError
 from protocol.links import Link
 from protocol.messages import HelloReply, StreamInfo
@@ -104,7 +103,7 @@ def conform(
                 forbidden = str(error)  # the checks that are possible still run
             rig.at_end.append(lambda: put_streams_back(rig.drive.node, streams))
         client = rig.client
-        line = _line(client.link)
+        line = line_of(client.link)
         device = Device(Probe(client.link, line, options.idle), options.level, options.speed_rpm)
         try:
             device.hello = device.probe.connect()
@@ -120,13 +119,6 @@ def conform(
         run.troubles += [f"at the end: {rig.tripped}"] if rig.tripped else []
         run.troubles += [f"not restored: {rig.not_restored}"] if rig.not_restored else []
     return run
-
-
-def _line(link: Link) -> Line:
-    wire = link.wire()
-    if not isinstance(wire, CanWire):
-        return ByteLine()
-    return BusLine(wire.rates, wire.node, wire.extended, wire.host)
 
 
 def _prepare(rig: Rig, options: Options, confirm: Callable[[str], bool] | None) -> None:

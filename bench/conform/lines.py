@@ -1,16 +1,63 @@
-"""The language of a CAN bus, for frames of any kind: transfers, valid and damaged, and stream frames as they come."""
+"""The languages of byte links and of CAN, for frames of any kind, valid and damaged."""
 
 from __future__ import annotations
 
-from bench.conform.probe import BusFrame, Heard
+from dataclasses import dataclass
+
 from protocol.canmap.frame import RECORD, RECORD_BYTES, REMOTE, BusRates
-from protocol.canmap.host import stop_record
+from protocol.canmap.host import CanWire, stop_record
 from protocol.canmap.ids import BROADCAST, STATUS_SLOTS, CanClass, CanId, parse_id
 from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
 from protocol.codes import MessageType
-from protocol.framing import Frame, parse_frame
+from protocol.framing import CONNECT_PREAMBLE, Deframer, Frame, encode_frame, parse_frame, wrapped
+from protocol.links import Link
 
 DEVICE_STATUS = {STATUS_SLOTS[kind] for kind in (MessageType.HEARTBEAT, MessageType.EVENT, MessageType.LOG)}
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A message as it came, at `at` s of the link's clock; `transfer` is its transfer id on CAN."""
+
+    at: float
+    frame: Frame
+    transfer: int = 0
+
+
+@dataclass(frozen=True)
+class BusFrame:
+    """A stream frame of this device on CAN: its slot in 0..15 of the edges, or 0..31 of the samples, and its data."""
+
+    at: float
+    edges: bool
+    slot: int
+    data: bytes
+
+
+class ByteLine:
+    """Serial ports and TCP."""
+
+    bus = False
+
+    def __init__(self) -> None:
+        self._deframer = Deframer()
+
+    def encode(self, frame: Frame, reserved: int = 0) -> bytes:
+        """What is written for a frame, whose reserved byte is this."""
+        return encode_frame(frame) if not reserved else wrapped(frame.pack()[:7] + bytes([reserved]) + frame.payload)
+
+    def preamble(self) -> bytes:
+        """What is written before HELLO."""
+        return CONNECT_PREAMBLE
+
+    def feed(self, data: bytes, at: float) -> list[Heard | BusFrame]:
+        """What these bytes complete."""
+        return [Heard(at, parse_frame(raw)) for raw in self._deframer.feed(data)]
+
+    @property
+    def damaged(self) -> int:
+        """Damaged messages that came."""
+        return self._deframer.counters.bad
 
 
 class BusLine:
@@ -31,16 +78,16 @@ class BusLine:
 
     @property
     def damaged(self) -> int:
-        """See `Line`."""
+        """See `ByteLine`."""
         return self._counters.bad
 
     def preamble(self) -> bytes:
-        """See `Line`."""
+        """See `ByteLine`."""
         self.records.clear()
         return b""
 
     def encode(self, frame: Frame, reserved: int = 0) -> bytes:
-        """See `Line`; a transfer has no byte that is reserved."""
+        """See `ByteLine`; a transfer has no byte that is reserved."""
         node = frame.node or self.node
         return self.transfer(self.address(frame), frame._replace(node=node))
 
@@ -67,7 +114,7 @@ class BusLine:
         return pack_record(can_id.pack(self.extended), data, self.rates.fd)
 
     def feed(self, data: bytes, at: float) -> list[Heard | BusFrame]:
-        """See `Line`."""
+        """See `ByteLine`."""
         found: list[Heard | BusFrame] = []
         for number, length, _, _, _, room in RECORD.iter_unpack(data):
             parts = parse_id(number, self.extended)
@@ -89,6 +136,17 @@ class BusLine:
             if message is not None:
                 found.append(Heard(at, parse_frame(message), part[-1] & 31))
         return found
+
+
+Line = ByteLine | BusLine
+
+
+def line_of(link: Link) -> Line:
+    """What is spoken on a link."""
+    wire = link.wire()
+    if not isinstance(wire, CanWire):
+        return ByteLine()
+    return BusLine(wire.rates, wire.node, wire.extended, wire.host)
 
 
 def cut(wire: bytes) -> list[bytes]:
