@@ -132,14 +132,16 @@ def _texts(stator: str) -> rrb.Container:
     words = rrb.TextDocumentView(name="Losses; summary at the end", origin=f"/{schema.RUN_TEXT}")
     if not stator:
         return rrb.Vertical(words, log, row_shares=[6, 5])
-    view = rrb.Spatial2DView(
-        name="Stator plane",
-        origin="/stator",
-        contents=["/stator/**"],
-        background=GROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=plane.X_RANGE, y_range=plane.Y_RANGE),
-    )
+    view = _plane("Stator plane", "stator", plane.X_RANGE, plane.Y_RANGE)
     return rrb.Vertical(view, words, log, row_shares=[4.4, 4, 3.1])
+
+
+def _plane(name: str, entity: str, x: tuple[float, float], y: tuple[float, float]) -> rrb.Spatial2DView:
+    """Vectors below an entity, from and to these places on either axis."""
+    bounds = rrb.VisualBounds2D(x_range=x, y_range=y)
+    return rrb.Spatial2DView(
+        name=name, origin=f"/{entity}", contents=[f"/{entity}/**"], background=GROUND, visual_bounds=bounds
+    )
 
 
 def _last_second(run: RunInfo, found: Mapping[str, Plot], whole: tuple[int, int] | None) -> rrb.Container | None:
@@ -156,13 +158,7 @@ def _last_second(run: RunInfo, found: Mapping[str, Plot], whole: tuple[int, int]
 
 def _of_second(view: str) -> rrb.View:
     if view == schema.DQ:
-        return rrb.Spatial2DView(
-            name="Current vector, last 0.2 s",
-            origin=f"/{schema.DQ}",
-            contents=[f"/{schema.DQ}/**"],
-            background=GROUND,
-            visual_bounds=rrb.VisualBounds2D(x_range=last_second.X_RANGE, y_range=last_second.Y_RANGE),
-        )
+        return _plane("Current vector, last 0.2 s", schema.DQ, last_second.X_RANGE, last_second.Y_RANGE)
     return rrb.BarChartView(
         name=SECOND_NAMES[view],
         origin=f"/{view}",
