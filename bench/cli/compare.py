@@ -16,8 +16,8 @@ from bench.cli.view import show_until_closed
 from bench.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
-    from bench.compare.alignment import Side
     from bench.compare.compare import Comparison
+    from bench.record.times import Side
 
 
 @click.command("compare")
@@ -72,12 +72,11 @@ def command(a: Path, b: Path, align: str, json_file: Path | None, save: Path | N
 
 
 def _write(file: Path, sides: tuple[Side, Side], viewer: str) -> None:
-    from bench.view.overlay import Laid, write_overlay
+    from bench.view.overlay import write_overlay
     from bench.view.viewer import chosen
     from bench.view.viewing import lot_for
 
-    a, b = (Laid(side.run, side.zero, side.first, side.last) for side in sides)
-    write_overlay(file, a, b, lot_for(chosen(viewer)))
+    write_overlay(file, *sides, lot_for(chosen(viewer)))
 
 
 def _print(found: Comparison, align: str) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from fractions import Fraction
 
 from bench.errors import BenchError
 from bench.record.reader import Run
+from bench.record.times import Side
 from protocol.codes import DriveState, EventCode, fault_names
 from protocol.messages import DeviceEvent
 
@@ -15,20 +15,6 @@ BEGIN = "begin"
 _COMMANDS = {"ARM": DriveState.ARMED.name, "START": DriveState.RUNNING.name}
 """What a command brings about is what a user may call it."""
 _NS = 10**9
-
-
-@dataclass(frozen=True)
-class Side:
-    """One of two runs: its ticks `first` to `last` are compared; `zero` is time 0."""
-
-    run: Run
-    zero: int
-    first: int
-    last: int
-
-    def seconds(self, tick: int) -> float:
-        """Time of a tick after time 0."""
-        return (tick - self.zero) / self.run.info.tick_hz
 
 
 def aligned(a: Run, b: Run, to: str, begin: float | None, end: float | None) -> tuple[Side, Side]:

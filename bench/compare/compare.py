@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.compare.alignment import Side
 from bench.compare.batches import VERDICT_WORDS, Batches, Difference, of_means, of_rms, of_std
 from bench.compare.said import EventPair, ParameterPair, events, parameters
 from bench.errors import BenchError
 from bench.record.info import AnyChannel
 from bench.record.layout import SAMPLES
+from bench.record.times import Side
 from bench.report.words import number
 from bench.signal.position import position_errors
 from protocol.frames import data_frame

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 
-from bench.compare.alignment import Side, event_words
+from bench.compare.alignment import event_words
+from bench.record.times import Side
 
 LATE = 1e-3  # s from which on an event is at another time
 

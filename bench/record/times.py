@@ -1,10 +1,26 @@
-"""Times that a user gives, as device ticks of a run."""
+"""Times that a user gives, as device ticks of a run, and what lies between them."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 from bench.errors import BenchError
 from bench.record.reader import Run
 from bench.signal.chunks import BEGIN, END
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of two runs: its ticks `first` to `last` are compared; `zero` is time 0."""
+
+    run: Run
+    zero: int
+    first: int
+    last: int
+
+    def seconds(self, tick: int) -> float:
+        """Time of a tick after time 0."""
+        return (tick - self.zero) / self.run.info.tick_hz
 
 
 def ticks_of(run: Run, begin: float | None, end: float | None) -> tuple[int, int]:

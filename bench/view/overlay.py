@@ -6,7 +6,7 @@ The views are those of the dashboard, one for each quantity, with the lines of b
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,7 +16,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from bench.record.info import RunInfo, ns_from_tick
-from bench.record.reader import Run
+from bench.record.times import Side
 from bench.signal.colours import RGB
 from bench.view.dashboard import absolute, time_series, without_panels
 from bench.view.log import RunLog
@@ -28,17 +28,7 @@ PALE = 0.55  # share of white in B's colours
 BRIGHT = 200  # of each part of a colour that would not become paler to see: it becomes darker
 
 
-@dataclass(frozen=True)
-class Laid:
-    """A run of which the ticks `first` to `last` are shown; `zero` is time 0."""
-
-    run: Run
-    zero: int
-    first: int
-    last: int
-
-
-def write_overlay(path: Path, a: Laid, b: Laid, lot: float = LOT) -> None:
+def write_overlay(path: Path, a: Side, b: Side, lot: float = LOT) -> None:
     """Write both runs for rerun's viewer, `lot` s of signal a message.
 
     The file appears, or replaces an earlier one, when it is whole. Raises RecordingError.
