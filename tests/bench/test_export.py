@@ -28,7 +28,6 @@ import pyarrow.parquet as pq
 import pytest
 from damage import flip
 from processes import ENVIRONMENT, LIMIT
-from rerun.chunk import RrdReader
 from scipy.io import loadmat
 
 from bench.cli import main
@@ -38,6 +37,7 @@ from bench.export.export import export
 from bench.record import layout
 from bench.record.reader import Run
 from bench.record.writer import RunWriter
+from tests.bench.view import synthetic
 from tests.choice import sampled
 
 KEPT = Path(__file__).parents[1] / "data" / "steady.run"
@@ -151,19 +151,15 @@ def test_rerun_has_the_samples_and_the_edges(tmp_path: Path) -> None:
     """In a viewer's float32, at the same nanosecond."""
     out = tmp_path / "x.rrd"
     export(Run(KEPT), out)
-    found: dict[str, list[tuple[int, float]]] = {}
-    for chunk in RrdReader(out).stream().to_chunks():
-        batch = chunk.to_record_batch()
-        for name in batch.schema.names:
-            if name.startswith(("value:", "edge:")) and chunk.entity_path in ("/samples", "/edges"):
-                times = batch.column("device_time").cast("int64").to_pylist()
-                found.setdefault(name, []).extend(zip(times, batch.column(name).flatten().to_pylist(), strict=True))
-    for stream, names in (("samples", ("i_a", "i_q", "omega_vt")), ("edges", ("hall_new", "encoder"))):
+    for stream, kind, names in (
+        ("samples", "value", ("i_a", "i_q", "omega_vt")),
+        ("edges", "edge", ("hall_new", "encoder")),
+    ):
         wanted = exported.expected(KEPT, stream)
         for name in names:
-            rows = sorted(found[f"{'value' if stream == 'samples' else 'edge'}:{name}"])
-            assert [at for at, _ in rows] == (wanted["tick"][0] * 50).tolist()
-            assert [value for _, value in rows] == wanted[name][0].astype(np.float32).tolist()
+            times, values = zip(*synthetic.column(out, stream, f"{kind}:{name}"), strict=True)
+            assert list(times) == (wanted["tick"][0] * 50).tolist()
+            assert np.array(values).ravel().tolist() == wanted[name][0].astype(np.float32).tolist()
 
 
 # -- what was said --------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The standard figures say what formulas say of made up runs, and what plain numpy says of a kept one."""
+"""The standard figures say what formulas say of made up runs."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 import made_runs
 import matplotlib.image
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner, Result
+from damage import flip
 from made_runs import CODES, N_P, PWM_HZ, RPM, TICK_HZ, make, turning
 
 from bench.cli import cli
@@ -177,8 +177,8 @@ def test_currents_are_counted_where_they_are(tmp_path: Path) -> None:
     assert found.largest == 8.5
     assert found.mean == pytest.approx((i_d[50:].mean(), i_q[50:].mean()))
     assert found.std == pytest.approx((i_d[50:].std(), i_q[50:].std()))
-    shown = drawn(tmp_path / "a.run")["current_plane"]
-    assert shown.numbers["n"] == 300
+    for span, n in (((None, None), 300), ((100 / N, 199 / N), 100)):
+        assert drawn(tmp_path / "a.run", *span)["current_plane"].numbers["n"] == n
 
 
 LATE = np.array([1.2, 3.0, -7.2, 3.3, -0.6, -5.6])  # degrees by which each edge comes, turning forwards
@@ -206,7 +206,7 @@ def hall(theta: np.ndarray, tick: np.ndarray) -> tuple[np.ndarray, made_runs.Edg
     return codes, (np.rint(when).astype(np.int64), np.array(old, np.uint8), np.array(new, np.uint8))
 
 
-def test_edges_are_as_late_as_they_were_made(tmp_path: Path) -> None:
+def test_edges_are_as_late_as_they_were_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rpm = np.concatenate([np.full(N, 300.0), np.full(N, -300.0)])
     theta = turning(rpm) + 0.5
     codes, edges = hall(theta, np.arange(len(rpm)) * (TICK_HZ // PWM_HZ))
@@ -216,20 +216,14 @@ def test_edges_are_as_late_as_they_were_made(tmp_path: Path) -> None:
     assert [edge["forwards"]["late"] for edge in found] == pytest.approx(LATE, abs=0.02)
     assert [edge["backwards"]["late"] for edge in found] == pytest.approx(LATE - HYSTERESIS, abs=0.02)
     assert sum(edge[way]["n"] for edge in found for way in ("forwards", "backwards")) >= len(edges[0]) - 12
-
-
-def test_of_very_many_edges_some_evenly_spread_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rpm = np.concatenate([np.full(N, 600.0), np.full(N, -600.0)])
-    theta = turning(rpm) + 0.5
-    codes, edges = hall(theta, np.arange(len(rpm)) * (TICK_HZ // PWM_HZ))
-    run = Run(make(tmp_path / "a.run", {"hall": codes, "theta_enc": theta}, edges))
-    monkeypatch.setattr("bench.signal.trace.MOST_EDGES", 200)
-    found = edges_of(run, *run.span)
-    assert found is not None
-    kept = [passages.n for edge in found.edges for passages in (edge.up, edge.down)]
-    assert 50 < sum(kept) <= 300
-    assert min(kept) > 0  # of every edge, both ways
-    assert [-math.degrees(edge.delta(edge.up)) for edge in found.edges] == pytest.approx(LATE, abs=0.02)
+    half = drawn(path, None, 0.5)["hall_edges"].numbers["edges"]
+    assert 80 < sum(edge["forwards"]["n"] for edge in half) <= np.count_nonzero(edges[0] <= 0.5 * TICK_HZ)
+    monkeypatch.setattr("bench.signal.trace.MOST_EDGES", 100)  # of more some are measured, evenly spread
+    some = edges_of(Run(path), *Run(path).span)
+    assert some is not None
+    kept = [passages.n for edge in some.edges for passages in (edge.up, edge.down)]
+    assert (25 < sum(kept) <= 150, min(kept) > 0) == (True, True)
+    assert [-math.degrees(edge.delta(edge.up)) for edge in some.edges] == pytest.approx(LATE, abs=0.05)
 
 
 def test_a_gap_is_in_no_stretch_and_between_no_edge_and_its_angle(tmp_path: Path) -> None:
@@ -263,50 +257,6 @@ def test_a_hosts_estimate_has_its_observers_colour_unless_the_drives_own_is_besi
     own = looks(["theta_ek_host", "theta_vt_host", "theta_vt"])
     assert (own["theta_ek_host"], own["theta_vt"]) == (OBSERVERS["ek"], OBSERVERS["vt"])
     assert len({look.paper for look in own.values()}) == 3
-
-
-# -- a kept run, by other means -------------------------------------------------------------------------------------
-
-
-def raw(name: str, begin: float, end: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Ticks and values of the file as it is, without the reader."""
-    table = pq.read_table(DATA / f"{name}.run" / "samples-000001.parquet")
-    tick = table["tick"].to_numpy()
-    where = (tick >= begin * TICK_HZ) & (tick <= end * TICK_HZ)
-    scales = {field.name: float((field.metadata or {}).get(b"scale", b"1")) for field in table.schema}
-    return tick[where], {
-        name: table[name].to_numpy()[where] * scales[name] for name in ("theta_enc", "theta_vt", "i_a")
-    }
-
-
-def test_a_kept_run_by_plain_numpy() -> None:
-    """From 0.7 to 1 s its shaft turns at one speed, so all samples count."""
-    found = drawn(DATA / "steady.run", 0.7, 1.0)
-    tick, values = raw("steady", 0.7, 1.0)
-    error = np.degrees(np.angle(np.exp(1j * (values["theta_enc"] - values["theta_vt"]))))
-    angle = found["error_by_angle"].numbers["estimates"]["theta_vt"]
-    assert angle["n"] == len(error) == 4801
-    assert (angle["mean"], angle["rms"]) == pytest.approx((error.mean(), math.sqrt(np.mean(error**2))), abs=1e-9)
-    degrees = np.degrees(values["theta_enc"]) % 360
-    for k in (0, 40, 119):
-        there = error[(degrees >= 3 * k) & (degrees < 3 * k + 3)]
-        assert angle["forwards"]["mean"][k] == pytest.approx(there.mean(), abs=1e-9)
-        assert angle["forwards"]["std"][k] == pytest.approx(there.std(), abs=1e-6)
-    speed = found["error_by_speed"].numbers["estimates"]["theta_vt"]
-    assert speed["rpm"] == [500.0]
-    assert speed["p95"] == pytest.approx([np.percentile(np.abs(error), 95)], abs=0.05)
-    theta = np.unwrap(values["theta_enc"])
-    turns = int((theta[-1] - theta[0]) / (2 * np.pi))
-    whole = theta < theta[0] + 2 * np.pi * turns
-    first, fifth = (2 * abs(np.mean(values["i_a"][whole] * np.exp(-1j * n * theta[whole]))) for n in (1, 5))
-    spectrum = found["spectrum"].numbers
-    assert spectrum["phases"]["i_a"]["harmonics_a"][0] == pytest.approx(first, rel=1e-3)
-    assert spectrum["phases"]["i_a"]["harmonics_a"][4] == pytest.approx(fifth, abs=1e-3)
-    hz = (theta[-1] - theta[0]) / (2 * np.pi) / ((tick[-1] - tick[0]) / TICK_HZ)
-    assert spectrum["fundamental_hz"] == pytest.approx(hz, rel=5e-4)
-    edges = pq.read_table(DATA / "steady.run" / "edges-000001.parquet")["tick"].to_numpy()
-    met = np.count_nonzero((edges >= tick[0]) & (edges <= tick[-1]))
-    assert sum(edge["forwards"]["n"] for edge in found["hall_edges"].numbers["edges"]) == met
 
 
 # -- what cannot be drawn, and files --------------------------------------------------------------------------------
@@ -371,14 +321,13 @@ def test_none_that_can_be_drawn_is_an_error(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_damage_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "a.run"
-    shutil.copytree(DATA / "steady.run", path)
-    file = path / "edges-000001.parquet"
-    data = bytearray(file.read_bytes())
-    data[100] ^= 1
-    file.write_bytes(data)
-    result = plot(path, "-o", tmp_path / "out")
-    assert "warning: edges-000001.parquet is damaged" in result.stderr
+def test_damage_is_told_and_the_rest_is_drawn_and_compared(tmp_path: Path) -> None:
+    path, kept = tmp_path / "a.run", DATA / "steady.run"
+    shutil.copytree(kept, path)
+    flip(path / "edges-000001.parquet", 100)
+    for command in (["plot", path, "-o", tmp_path / "out"], ["compare", path, kept, "--save", tmp_path / "a.rrd"]):
+        result = CliRunner().invoke(cli, list(map(str, command)))
+        assert result.exit_code == 0, result.output
+        assert "edges-000001.parquet is damaged" in result.stderr
     assert (tmp_path / "out" / "spectrum.png").exists()
     assert not (tmp_path / "out" / "hall_edges.png").exists()
