@@ -17,6 +17,7 @@ from recorded import N_P, PWM_HZ, record_made_up
 
 from bench.cli import cli
 from bench.errors import BenchError
+from bench.files import leaves
 from bench.record.reader import Run
 from bench.record.sink import RunSink
 from bench.score import expect
@@ -135,6 +136,16 @@ def test_observers_run_again_score_as_the_drives_own(drive_board: Scoreboard) ->
                 assert host[group][key] == pytest.approx(drive[group][key], abs=0.006), (name, group)  # a raw count
         assert drive["step_ns"] is None
     assert drive_board.pooled["vector_tracking"]["step_ns"] > 1.0
+
+
+def test_a_recording_and_its_copy_have_the_same_figures_of_twice_as_many_samples(
+    made_up: Path, made_up_board: Scoreboard, tmp_path: Path
+) -> None:
+    shutil.copytree(made_up, tmp_path / "copy.run")
+    twice = dict(leaves(score([made_up, tmp_path / "copy.run"]).pooled))
+    for name, value in leaves(made_up_board.pooled):
+        same = pytest.approx(value, rel=1e-3, abs=1e-6) if isinstance(value, float) else value
+        assert twice[name] == (2 * value if name.endswith((".n", ".recordings")) else same), name
 
 
 def test_recordings_are_pooled_by_samples(made_up: Path, tmp_path: Path) -> None:
@@ -400,7 +411,7 @@ def test_errors_at_one_speed_are_bars_and_at_more_are_lines(made_up_board: Score
 def test_figures_show_what_was_scored(made_up_board: Scoreboard) -> None:
     (track,) = made_up_board.tracks
     speed, error = draw_error_over_time(track, "drive_biased").axes
-    assert max(line.get_ydata().max() for line in speed.lines) == pytest.approx(600, abs=5)
+    assert [line.get_ydata().max() for line in speed.lines] == pytest.approx([600] * len(speed.lines), abs=5)
     assert np.ptp(error.lines[0].get_ydata()) < 0.01
     (ax,) = draw_error_by_angle(made_up_board.tracks, "drive_sector").axes
     mean = next(line for line in ax.lines if line.get_label() == "mean")

@@ -9,7 +9,8 @@ import pytest
 
 from bench.score.metrics import Changes, LagBySpeed, LagInTime, reach
 from bench.score.phases import phases_of, speed_bins, speed_of
-from bench.signal.error_bins import Errors
+from bench.score.tally import Envelope
+from bench.signal.error_bins import BINS, ErrorByAngle, Errors
 from bench.signal.percentiles import Percentiles
 
 RATE = 16_000.0
@@ -198,3 +199,24 @@ def test_a_speed_that_is_held_falls_into_one_bin() -> None:
     assert {bin: at.tolist() for bin, at in both.items()} == {
         "-350_to_-150": [0], "150_to_350": [1, 2], "75000_to_up": [3],
     }  # fmt: skip
+
+
+def test_extremes_stay_those_of_all_that_was_added() -> None:
+    rng = np.random.default_rng(1)
+    bins, values = rng.integers(0, BINS, 5000), rng.normal(size=5000)
+    whole, one, other = ErrorByAngle(), ErrorByAngle(), ErrorByAngle()
+    reverse = rng.integers(0, 2, 5000) > 0
+    for sums, part in ((whole, slice(None)), (one, slice(0, 2000)), (other, slice(2000, None))):
+        sums.add(bins[part], values[part], reverse[part])
+    one.merge(other)
+    envelope = Envelope(50)
+    for part in np.split(np.arange(5000), [1, 99, 101, 3000]):
+        envelope.add(part // 100, values[part])
+    for sums in (whole, one):
+        assert sums.both()[1] == pytest.approx([values[bins == k].std() for k in range(BINS)])
+        for way in (0, 1):
+            there = [values[(bins == k) & (reverse == way)] for k in range(BINS)]
+            assert sums.n[way].tolist() == [len(of) for of in there]
+            assert sums.hi[way].tolist() == [of.max() for of in there]
+            assert sums.lo[way].tolist() == [of.min() for of in there]
+    assert envelope.hi.tolist() == values.reshape(-1, 100).max(1).tolist()
