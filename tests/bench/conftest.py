@@ -37,6 +37,12 @@ def start_sim() -> Iterator[Callable[..., Sim]]:
         yield lambda *arguments: started.enter_context(closing(Sim(*arguments)))
 
 
+@pytest.fixture(params=("bytes", "CAN"))
+def network(request: pytest.FixtureRequest) -> str:
+    """A kind of link in virtual time."""
+    return str(request.param)
+
+
 @pytest.fixture(scope="session")
 def suite_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The shipped suite on the untouched simulated drive: `a.json`, `code`, `report/`. Not to be changed."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -123,11 +122,6 @@ def split(data: bytes, can: bool) -> list[tuple[bytes, bool]]:
     return [(b"\0" + body + b"\0", cobs.decode(body)[0] in (MessageType.DATA, MessageType.EDGES)) for body in bodies]
 
 
-@pytest.fixture(params=NETWORKS)
-def network(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
 def streaming(link: Lossy, seconds: float, decimation: int = 1) -> tuple[Bench, Streamed, int]:
     """A drive that has turned for a while, with all streams; and the decimation that the link carries."""
     bench, streamed = Bench(link), Streamed(link.device)
@@ -159,6 +153,7 @@ NAMES = ("hall", "theta_enc", "i_a")
 # -- the end of the streams -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("network", NETWORKS)
 @pytest.mark.parametrize("decimation", [1, 7])
 def test_what_is_lost_at_the_end_of_the_streams_is_counted(network: str, decimation: int) -> None:
     link = Lossy(simulated(1, network))
@@ -357,33 +352,27 @@ def test_a_drive_that_reboots_and_keeps_its_boot_number_has_a_clock_that_restart
     assert bench.client.newest(1) < newest
 
 
-class Ages:
-    """How old the samples were when they came, by the clock that a run gives to its outputs."""
-
-    latency = None  # which outputs ask for
-
-    def __init__(self, host_time: Callable[[float], float | None], now: Callable[[], float]) -> None:
-        self.ages: list[float] = []
-        self._host_time, self._now = host_time, now
-
-    def take(self, item: Heard) -> None:
-        if isinstance(item, SampleChunk) and (taken := self._host_time(float(item.tick[0]))) is not None:
-            self.ages.append(self._now() - taken)
-
-
 def test_latency_is_never_taken_with_the_clock_of_another_boot(monkeypatch: pytest.MonkeyPatch) -> None:
     link = Rebooting()
     link.device.advance(7 * 16000)  # it has been on for a while
-    sinks: list[Ages] = []
+
+    ages: list[float] = []
+
+    class Aged:
+        """How old the samples were when they came, by the clock that a run gives to its outputs."""
+
+        host_time = latency = None  # outputs set the one and ask for the other
+
+        def take(self, item: Heard) -> None:
+            if isinstance(item, SampleChunk) and (taken := self.host_time(float(item.tick[0]))) is not None:
+                ages.append(link.clock() - taken)
+
+    aged = Aged()
 
     class WithAges(Outputs):
-        def time_by(self, host_time: Callable[[float], float | None]) -> None:
-            super().time_by(host_time)
-            sinks.append(Ages(host_time, link.clock))
-
         @property
         def sinks(self) -> list:
-            return [*super().sinks, *sinks]
+            return [*super().sinks, aged]
 
     monkeypatch.setattr("bench.rig.rig.Outputs", WithAges)
 
@@ -394,29 +383,22 @@ def test_latency_is_never_taken_with_the_clock_of_another_boot(monkeypatch: pyte
     link._on_call = reboots
     ended = run(link, speed_rpm=None, duration=2.0)
     assert ended.summary.link["reboots"] == 2  # drive and load machine
-    ages = np.array(sinks[0].ages)
     assert len(ages) > 20
-    assert -0.001 < ages.min() < ages.max() < 0.2
+    assert -0.001 < min(ages) < max(ages) < 0.2
 
 
 # -- a host that was starved ------------------------------------------------------------------------------------------
 
 
-class Stalling(WatchedLink):
-    """A virtual link whose host stands still for `stall` s once the drive has turned for a while."""
-
-    def __init__(self, device: SimulatedDevice, stall: float) -> None:
-        super().__init__(device, self._look)
-        self._stall = stall
-
-    def _look(self, call: int) -> None:
-        if self._stall and self.device.drive.state is DriveState.RUNNING and self.clock() > 0.5:
-            self.device.advance(round(self._stall * 16000))
-            self._stall = 0.0
-
-
 def test_a_host_that_stood_still_says_so_though_nothing_tripped() -> None:
-    ended = run(Stalling(simulated(firmware__watchdog=1.0), 0.4), duration=1.0)
+    stalls = [round(0.4 * 16000)]
+
+    def stall(call: int) -> None:
+        if stalls and link.device.drive.state is DriveState.RUNNING and link.clock() > 0.5:
+            link.device.advance(stalls.pop())
+
+    link = WatchedLink(simulated(firmware__watchdog=1.0), stall)
+    ended = run(link, duration=1.0)
     assert ended.exit_code == 0
     assert ended.summary.longest_pause_s == pytest.approx(0.4, abs=0.04)
     assert ended.summary.as_json()["longest_pause_s"] == ended.summary.longest_pause_s

@@ -41,12 +41,6 @@ def virtual(network: str) -> Bench:
     return Bench(WatchedLink(simulated(1, network)))
 
 
-@pytest.fixture(params=NETWORKS)
-def network(request: pytest.FixtureRequest) -> str:
-    """A kind of link in virtual time."""
-    return str(request.param)
-
-
 REAL = [
     pytest.param(link, marks=() if link == "pty" else pytest.mark.campaign("links")) for link in (*SIMS, *IN_PROCESS)
 ]
@@ -156,16 +150,6 @@ def test_losses_add_up_over_reconfigurations(network: str) -> None:
 
 
 # -- the watchdog -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.real_time
-def test_a_client_that_polls_but_does_not_feed_trips_the_drive_too(bench: Bench) -> None:
-    bench.turn(50.0)
-    bench.stream()
-    bench.client.feed(1, on=False)
-    bench.client.run_for(bench.drive.parameter("watchdog").value + 0.2)
-    assert (bench.client.heartbeats[1].faults, bench.drive.state) == (Fault.WATCHDOG, DriveState.FAULT)
-    assert "WATCHDOG" in bench.drive.fault_text()
 
 
 class DeafLink(WatchedLink):
