@@ -29,7 +29,6 @@ from sim.ports.virtual import VirtualLink
 pytestmark = pytest.mark.slow
 
 EPOCH = 1_700_000_000.0  # s: when a recording begins, for formats that want a date
-PORTION = 500  # frames that a link reads at once
 
 Chunk = SampleChunk | EdgeChunk
 Database = cantools.database.can.Database

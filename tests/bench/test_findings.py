@@ -112,9 +112,10 @@ def test_too_few_samples_are_told() -> None:
 ], ids=["exchanged", "rotated", "inverted", "open", "shorted"])  # fmt: skip
 def test_a_run_names_wires_as_a_check_of_its_recording_does(rewire) -> None:
     recorded = capture(REAL.but(rewire=rewire))
-    wires = Wires()
-    for rows in np.array_split(np.arange(len(recorded)), 50):
-        wires.add(recorded["theta_enc"][rows], recorded.samples.raw["hall"][rows])
+    theta, wires = recorded["theta_enc"].copy(), Wires()
+    theta[::97] = math.nan  # a float angle may be none, and slow links deliver single samples
+    for rows in np.split(np.arange(len(recorded)), [1, 2, 2, *range(3000, len(recorded), 3000)]):
+        wires.add(theta[rows], recorded.samples.raw["hall"][rows])
     [of_run], [of_check] = wires.findings(), examine(trace(recorded)).findings
     assert (of_run.cause, of_run.advice) == (of_check.cause, of_check.advice)
 

@@ -76,21 +76,6 @@ def failing_after(samples: int, error: Exception, times: int = 1):
     return fails
 
 
-@pytest.mark.parametrize(
-    ("error", "times"), [(BenchError("the disk is full"), 1), (ValueError("a bug"), 2), (OSError(5, "EIO"), 1000)]
-)
-def test_an_exception_inside_the_run_ends_in_stop(
-    monkeypatch: pytest.MonkeyPatch, error: Exception, times: int
-) -> None:
-    monkeypatch.setattr("bench.live.summary.position_errors", failing_after(3000, error, times))
-    link = WatchedLink(simulated())
-    with pytest.raises(type(error)):
-        run(link, load_a=1.0, duration=1.0)
-    assert at_rest(link.device)
-    assert link.device.drive.machine.faults == Fault(0)
-    assert link.clock() < 1.0
-
-
 class SlowLink(WatchedLink):
     """A virtual link on which a request takes 5 ms: telemetry comes before its reply."""
 
@@ -194,16 +179,6 @@ def test_a_link_that_does_not_come_back_ends_the_run(monkeypatch: pytest.MonkeyP
         ["link, outages", "1"],
         ["link, downtime", "3.0 s"],
     ]
-
-
-@pytest.mark.usefixtures("no_waiting")
-def test_a_glitch_shorter_than_the_watchdog_is_survived() -> None:
-    link = Cable(simulated(), 0.8, 0.85)
-    ended = run(link, duration=1.0)
-    assert ended.exit_code == 0
-    assert ended.summary.link["outages"] == 1
-    assert ended.summary.lost.samples_by_index > 0
-    assert at_rest(link.device)
 
 
 def test_a_trip_during_the_run_ends_with_the_fault_named() -> None:

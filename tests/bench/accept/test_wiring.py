@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bench.findings.wiring import Wires, diagnose
+from bench.findings.wiring import diagnose
 
 Floats = NDArray[np.float64]
 Levels = NDArray[np.bool_]
@@ -125,15 +125,3 @@ def test_unfit_input_is_refused() -> None:
         diagnose(np.where(np.arange(3001) == 5, math.nan, theta), hall)
     with pytest.raises(ValueError, match="below 30 deg, got 30 deg"):
         diagnose(theta, hall, margin=math.radians(30.0))
-
-
-def test_a_run_names_the_wires_whatever_pieces_it_came_in() -> None:
-    """Slow links deliver single samples, and a float angle may be none."""
-    theta = turning()
-    hall = read(theta, WIRINGS["sensors b and c exchanged"])
-    theta[::97] = math.nan
-    wires = Wires()
-    for piece in (slice(0, 1), slice(1, 2), slice(2, 2), slice(2, None)):
-        wires.add(theta[piece], hall[piece])
-    [finding] = wires.findings()
-    assert (finding.code, finding.cause) == ("wiring", "sensors b and c exchanged")

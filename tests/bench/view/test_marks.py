@@ -54,12 +54,6 @@ def marked(made: synthetic.SyntheticRun, tmp_path_factory: pytest.TempPathFactor
     return path
 
 
-def test_marks_come_back_and_the_samples_with_them(marked: Path, made: synthetic.SyntheticRun) -> None:
-    run = Run(marked)
-    assert run.marks == tuple(Mark(name, tick(first), tick(last), verdict) for name, first, last, verdict in MARKED)
-    assert (run.samples.raw.tobytes(), len(run.edges)) == (made.raw.tobytes(), len(made.edge_tick))
-
-
 def test_a_run_without_marks_has_none_and_no_lane(recording: Path) -> None:
     assert Run(recording).marks == ()
     assert RrdReader(synthetic.viewed(recording)).stream().filter(content=f"/{schema.ACCEPTANCE}").to_chunks() == []
