@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 import bench
 from bench.cli import cli
 from bench.export import ENDINGS
+from bench.files import leaves
 from bench.record.reader import BESIDE
 from bench.record.recording import CapturedRun, Source
 
@@ -141,8 +142,15 @@ def test_a_table_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.Mo
         len(recording.samples)
 
 
-def test_scores_as_a_table() -> None:
-    board = bench.score(bench.open(STEADY), bench.read(REVERSAL), observers=["drive_vt", "vector_tracking"])
+def test_scores_are_those_of_the_command_and_a_table() -> None:
+    names = ("drive_vt", "vector_tracking")
+    board = bench.score(bench.open(STEADY), bench.read(REVERSAL), observers=names)
+    command = told("score", STEADY, REVERSAL, *(f"--observer={name}" for name in names))["observers"]
+    ours = dict(leaves(json.loads(json.dumps(board.as_json()["observers"]))))
+    assert list(board.pooled) == list(command)  # type: ignore[call-overload]
+    assert {k: v for k, v in leaves(command) if "step_ns" not in k} == {
+        k: v for k, v in ours.items() if "step_ns" not in k
+    }
     table = board.to_pandas()
     assert list(table.index) == list(board.pooled)
     assert list(table["rank"]) == [1, 2]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import builtins
 import io
-import json
 import math
 import subprocess
 import sys
@@ -18,14 +17,12 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from processes import ENVIRONMENT, LIMIT
 from test_prompt import PhysicalDrive
 from virtual_run import WatchedLink, at_rest, physical, simulated
 from virtual_run import run as live
 
 import bench
-from bench.cli import cli
 from bench.errors import BenchError, NodeError, UnsafeError
 from bench.record.reader import Run
 from bench.replay.replay import replay
@@ -412,22 +409,6 @@ def test_a_decimated_recording_is_not_estimated(tmp_path: Path) -> None:
     assert np.diff(slow.t) == pytest.approx(1 / 8000, rel=1e-9)
     with pytest.raises(BenchError, match="cannot be run on this capture: the stream is decimated by 2; observers"):
         bench.estimate(slow, "vt")
-
-
-def _figures(observers: dict[str, Any]) -> dict[str, Any]:
-    """What does not depend on how busy the computer is."""
-    return {name: {key: of for key, of in row.items() if key != "step_ns"} for name, row in observers.items()}
-
-
-def test_scores_are_those_of_the_command(drive_run: Path) -> None:
-    board = bench.score(bench.read(drive_run), observers=NAMES)
-    command = ["score", str(drive_run), "--json", "-", *(f"--observer={name}" for name in NAMES)]
-    printed = CliRunner().invoke(cli, command).stdout
-    told = json.loads(printed[printed.index("{\n") :])
-    assert list(board.pooled) == list(told["observers"])
-    assert set(board.pooled) == {"vector_tracking", "edge_kalman", "drive_vt"}
-    assert json.loads(json.dumps(_figures(board.as_json()["observers"]))) == _figures(told["observers"])
-    assert _figures(bench.score(str(drive_run), observers=NAMES).pooled) == _figures(board.pooled)
 
 
 def test_captures_and_recordings_are_pooled(drive_run: Path, run: bench.Capture) -> None:
