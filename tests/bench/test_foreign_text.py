@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import pty
+import io
 import re
 import sys
-import termios
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from dataclasses import replace
 from html import escape
 from pathlib import Path
@@ -57,29 +53,13 @@ def hostile(simulates: bool = True) -> SimulatedDevice:
     return device
 
 
-@contextmanager
-def terminal(typed: bytes) -> Iterator[bytearray]:
-    """The standard streams are a terminal; gives what is written on it, whole once it is left."""
-    controller, other = pty.openpty()
-    mode = termios.tcgetattr(other)
-    mode[3] &= ~termios.ECHO  # what is typed is not what is shown
-    termios.tcsetattr(other, termios.TCSANOW, mode)
-    os.write(controller, typed)
-    shown = bytearray()
+class Terminal(io.StringIO):
+    """A standard stream of a terminal, for all that a program asks it."""
 
-    def read() -> None:
-        with suppress(OSError):  # the other end has gone
-            while data := os.read(controller, 65536):
-                shown.extend(data)
+    encoding = "utf-8"
 
-    reader = threading.Thread(target=read)
-    reader.start()
-    with open(other, "w") as out, open(other, closefd=False) as typing:
-        streams = {"stdin": typing, "__stdin__": typing, "stdout": out, "stderr": out}
-        with patch.multiple(sys, **streams):
-            yield shown
-    reader.join(10.0)
-    os.close(controller)
+    def isatty(self) -> bool:
+        return True
 
 
 @pytest.fixture
@@ -90,22 +70,22 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[...
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.chdir(tmp_path)
 
-    def run(device: SimulatedDevice, *arguments: str, reply: bytes = b"") -> tuple[int, str]:
+    def run(device: SimulatedDevice, *arguments: str, reply: str = "") -> tuple[int, str]:
         def link(target: str) -> WatchedLink:
             return WatchedLink(device, lambda number: None if number % 50 else device.drive.log(3, LOG))
 
-        code = 0
+        code, typed, shown = 0, Terminal(reply), Terminal()
         with (
             reached_by(link("")),
             patch("bench.rig.connection.open_link", link),
             patch("protocol.links.open_link", link),
-            terminal(reply) as shown,
+            patch.multiple(sys, __stdin__=typed, stdin=typed, stdout=shown, stderr=shown),
         ):
             try:
                 main(list(arguments))
             except SystemExit as ended:
                 code = ended.code if isinstance(ended.code, int) else 0
-        return code, shown.decode()
+        return code, shown.getvalue()
 
     return run
 
@@ -178,7 +158,7 @@ def test_live_and_what_it_records(on_terminal: Callable[..., tuple[int, str]]) -
 ])  # fmt: skip
 def test_the_question_whether_the_shaft_is_clear(on_terminal, arguments) -> None:
     Path("own_question.py").write_text(OWN_TEST)
-    code, text = on_terminal(hostile(simulates=False), *arguments, reply=b"n\n")
+    code, text = on_terminal(hostile(simulates=False), *arguments, reply="n\n")
     assert code == 2
     assert harmless(text)
     assert re.search(r"Spin \\x1b\]0;pwn\\x07\[red\]x \(boot [0-9a-f]{8}\) on serial:x: .* Is the shaft clear\?", text)
