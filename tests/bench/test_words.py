@@ -55,6 +55,12 @@ def test_every_source_has_a_name_a_number_and_a_short_name() -> None:
     (labelled("tick_hz", 20_000_000), ("tick", "20 MHz")),
     (labelled("tick_hz", 999_999), ("tick", "999999 Hz")),
     (labelled("boot_id", "0a"), ("boot ID", "0a")),
+    (labelled("tick_hz", "84000001"), ("tick", "84.000001 MHz")),
+    (labelled("tick_hz", "unknown"), ("tick hz", "unknown")),
+    (labelled("schema_crc", "4d977534"), ("schema CRC", "4d977534")),
+    (labelled("features", ["a", "b"]), ("features", "a, b")),
+    (labelled("features", []), ("features", "none")),
+    (labelled("vendor", ""), ("vendor", "not told")),
     (labelled("serial", "X"), ("serial number", "X")),
     ([plain(value) for value in (-0.5, 0.25, 1e9, 3)], ["−0.5", "0.25", "1e+09", "3"]),
 ])  # fmt: skip
