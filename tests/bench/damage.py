@@ -37,6 +37,11 @@ class Whole:
         assert not self.run.damage
 
     @cached_property
+    def chunks(self) -> dict[str, SampleChunk | EdgeChunk | None]:
+        """Its streams."""
+        return {name: self.run.chunk(name) for name in self.run.names}
+
+    @cached_property
     def said(self) -> set[str]:
         """Everything in its log that is no sample."""
         return set(_said(self.run))
@@ -65,7 +70,7 @@ class Whole:
         """Whether each of these records is one of the run's."""
         if chunk is None:
             return True
-        whole = self.run.chunk(stream)
+        whole = self.chunks.get(stream)
         if whole is None:
             return False
         at = np.minimum(np.searchsorted(whole.index, chunk.index), len(whole) - 1)
@@ -77,7 +82,7 @@ class Whole:
 
     def _begins_with(self, stream: str, chunk: SampleChunk | EdgeChunk | None) -> bool:
         """Whether these records are the run's first: it was cut short, as a kill does, and says so."""
-        whole = self.run.chunk(stream)
+        whole = self.chunks.get(stream)
         return chunk is None or (whole is not None and np.array_equal(whole.index[: len(chunk)], chunk.index))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -104,7 +104,7 @@ def test_a_ring_lets_go_of_what_is_old_and_led_to_nothing(seed: int) -> None:
     assert gone
 
 
-def ring_run(path: Path, made: Callable[[RunWriter], None] | None = None) -> Path:
+def ring_run(path: Path) -> Path:
     """Twenty minutes in a ring of two: a fault at 400.5 s, a mark at 700 s, 30 s without samples from 900 s on."""
     writer = RunWriter(path, synthetic.run_info(channels=CONFIG.channels), keep=120.0)
     continuity = Continuity()
@@ -117,35 +117,35 @@ def ring_run(path: Path, made: Callable[[RunWriter], None] | None = None) -> Pat
         if at == 700:
             writer.take(Mark("here", 700 * HZ, 700 * HZ))
         writer.take(continuity.chunk(chunk))
-    if made is None:
-        writer.close()
-    else:
-        made(writer)
+    writer.close()
     return path
 
 
-def test_a_ring_on_the_disk_keeps_what_it_should_exactly(tmp_path: Path) -> None:
-    run = Run(ring_run(tmp_path / "a.run"))
-    there = seconds_of(run)
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return Run(ring_run(tmp_path_factory.mktemp("ring") / "a.run"))
+
+
+def test_a_ring_on_the_disk_keeps_what_it_should_exactly(ring: Run) -> None:
+    there = seconds_of(ring)
     assert there >= {*range(341, 411), *range(640, 711), *range(1080, 1200)}
     assert there.isdisjoint({*range(270), *range(490, 580), *range(780, 990)})  # but for whole segments
-    on_disk = {int(file.name[-14:-8]) for file in run.path.glob("samples-*.parquet")}
-    assert on_disk == {segment.number for segment in run.segments}
-    rows = sum(pq.read_metadata(file).num_rows for file in run.path.glob("samples-*.parquet"))
-    assert rows == len(run.samples) == 100 * len(there)
-    assert not run.damage
-    assert run.ended
-    assert run.lost["samples"] == 3000  # of the 30 s, although they are gone
+    on_disk = {int(file.name[-14:-8]) for file in ring.path.glob("samples-*.parquet")}
+    assert on_disk == {segment.number for segment in ring.segments}
+    rows = sum(pq.read_metadata(file).num_rows for file in ring.path.glob("samples-*.parquet"))
+    assert rows == len(ring.samples) == 100 * len(there)
+    assert not ring.damage
+    assert ring.ended
+    assert ring.lost["samples"] == 3000  # of the 30 s, although they are gone
 
 
-def test_what_a_ring_let_go_is_a_gap_of_nothing_lost(tmp_path: Path) -> None:
-    run = Run(ring_run(tmp_path / "a.run"))
-    samples = run.samples
+def test_what_a_ring_let_go_is_a_gap_of_nothing_lost(ring: Run) -> None:
+    samples = ring.samples
     jumps = np.flatnonzero(np.diff(samples.index) != STEP) + 1
     assert [gap.position for gap in samples.gaps] == jumps.tolist()
     assert {gap.lost_samples for gap in samples.gaps} == {0}
     assert [words.split(" before")[0] for _, _, words in lost_stretches(samples, 0)] == ["samples"] * len(jumps)
-    assert all("were not kept" in words for _, _, words in capture_of(run).dropped)
+    assert all("were not kept" in words for _, _, words in capture_of(ring).dropped)
 
 
 def test_a_program_killed_while_it_lets_go_leaves_a_whole_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,10 +174,9 @@ def test_a_program_killed_while_it_lets_go_leaves_a_whole_run(tmp_path: Path, mo
     assert not run.path.exists()
 
 
-def test_an_extended_ring_is_one_too(tmp_path: Path) -> None:
-    run = Run(ring_run(tmp_path / "a.run"))
+def test_an_extended_ring_is_one_too(ring: Run, tmp_path: Path) -> None:
     more = Channel(99, "i_more", Unit.A, RawType.I16, 1.0, Flag(0), 0.0)
-    info = replace(run.info, channels=(*run.info.channels, more))
+    info = replace(ring.info, channels=(*ring.info.channels, more))
 
     def with_more(chunk: SampleChunk) -> SampleChunk:
         config = replace(chunk.config, channels=info.channels)
@@ -187,11 +186,11 @@ def test_an_extended_ring_is_one_too(tmp_path: Path) -> None:
         raw["i_more"] = -chunk.raw["i_a"]
         return replace(chunk, config=config, raw=raw)
 
-    Extension(run, tmp_path / "b.run", info).write(with_more, lambda edges: None, lambda: "")
+    Extension(ring, tmp_path / "b.run", info).write(with_more, lambda edges: None, lambda: "")
     extended = Run(tmp_path / "b.run")
-    assert (extended.samples.index == run.samples.index).all()
-    assert (extended.samples.raw["i_more"] == -run.samples.raw["i_a"]).all()
-    assert extended.samples.gaps == run.samples.gaps
+    assert (extended.samples.index == ring.samples.index).all()
+    assert (extended.samples.raw["i_more"] == -ring.samples.raw["i_a"]).all()
+    assert extended.samples.gaps == ring.samples.gaps
     assert not extended.damage
 
 

@@ -48,16 +48,15 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
     return path, raw["i_a"].astype(np.int64)
 
 
-def shown(rrd: Path, component: str) -> tuple[np.ndarray, np.ndarray]:
+def shown(path: Path, component: str) -> tuple[np.ndarray, np.ndarray]:
     """Times in s, and values."""
-    rows = synthetic.column(rrd, schema.FAST, component)
+    rows = synthetic.column(path, schema.FAST, component)
     return np.array([at for at, _ in rows]) / 1e9, np.array([row[0] for _, row in rows])
 
 
-def test_a_long_run_keeps_its_extremes_and_is_whole_around_a_fault(long: tuple[Path, np.ndarray], tmp_path) -> None:
+def test_a_long_run_keeps_its_extremes_and_is_whole_around_a_fault(long: tuple[Path, np.ndarray]) -> None:
     path, counts = long
-    write_rrd(Run(path), tmp_path / "far.rrd")
-    t, current = shown(tmp_path / "far.rrd", schema.value_component("i_a"))
+    t, current = shown(path, schema.value_component("i_a"))
     near = np.abs(t - FAULT) <= 0.5
     first, last = (round((FAULT + side) * synthetic.PWM_HZ) for side in (-0.5, 0.5))
     scale = CONFIG.channel("i_a").scale
@@ -68,13 +67,12 @@ def test_a_long_run_keeps_its_extremes_and_is_whole_around_a_fault(long: tuple[P
         of = slice(begin * synthetic.PWM_HZ, begin * synthetic.PWM_HZ + 800)
         pair = current[(t >= begin - 1e-9) & (t < begin + 0.05 - 1e-9)]
         np.testing.assert_allclose(pair, np.array([counts[of].min(), counts[of].max()]) * scale, atol=1e-6)
-    _, error = shown(tmp_path / "far.rrd", schema.error_component("theta_vt"))
+    _, error = shown(path, schema.error_component("theta_vt"))
     np.testing.assert_allclose(error, np.degrees(100 * CONFIG.channel("theta_enc").scale), rtol=1e-4)
 
 
-def test_what_was_lost_is_counted_although_samples_are_left_out(long: tuple[Path, np.ndarray], tmp_path: Path) -> None:
-    write_rrd(Run(long[0]), tmp_path / "far.rrd")
-    counts = [row[0] for _, row in synthetic.column(tmp_path / "far.rrd", schema.HEALTH, "lost:samples")]
+def test_what_was_lost_is_counted_although_samples_are_left_out(long: tuple[Path, np.ndarray]) -> None:
+    counts = [row[0] for _, row in synthetic.column(long[0], schema.HEALTH, "lost:samples")]
     assert counts[-1] == 160
 
 
@@ -97,16 +95,13 @@ def test_a_part_that_there_is_not_is_refused_with_what_there_is(long: tuple[Path
 def test_an_overview_is_made_where_none_is_stored(long: tuple[Path, np.ndarray], tmp_path: Path) -> None:
     """As of a run that is being recorded: the same pictures, from samples."""
     path, _ = long
-    write_rrd(Run(path), tmp_path / "stored.rrd")
     run = Run(path)
     for segment in run.segments:
         assert segment.files
         segment._files = {name: files for name, files in segment.files.items() if name != layout.OVERVIEW}
     write_rrd(run, tmp_path / "made.rrd")
     component = schema.value_component("i_a")
-    for mine, theirs in zip(
-        shown(tmp_path / "made.rrd", component), shown(tmp_path / "stored.rrd", component), strict=True
-    ):
+    for mine, theirs in zip(shown(tmp_path / "made.rrd", component), shown(path, component), strict=True):
         assert (mine == theirs).all()
 
 
