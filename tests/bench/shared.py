@@ -1,7 +1,8 @@
-"""What tests share: folders that a test run makes once, whichever worker needs them first, and tables of cases."""
+"""What tests share: folders that a test run makes once, whichever worker needs them first, cases, a terminal."""
 
 from __future__ import annotations
 
+import io
 import os
 import tomllib
 from collections.abc import Callable
@@ -10,6 +11,15 @@ from typing import Any
 
 import pytest
 from filelock import FileLock
+
+
+class Terminal(io.StringIO):
+    """A standard stream of a terminal, for all that a program asks it."""
+
+    encoding = "utf-8"
+
+    def isatty(self) -> bool:
+        return True
 
 
 def once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 import sys
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import pytest
+from shared import Terminal
 from virtual_run import WatchedLink, reached_by, simulated
 
 from bench.cli import main
@@ -51,15 +51,6 @@ def hostile(simulates: bool = True) -> SimulatedDevice:
     )
     session._blob = session.descriptor.pack()
     return device
-
-
-class Terminal(io.StringIO):
-    """A standard stream of a terminal, for all that a program asks it."""
-
-    encoding = "utf-8"
-
-    def isatty(self) -> bool:
-        return True
 
 
 @pytest.fixture
