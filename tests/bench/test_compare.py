@@ -30,7 +30,7 @@ from tests.bench.view.synthetic import column
 
 DATA = Path(__file__).parents[1] / "data"
 N = PWM_HZ  # samples of a second
-SEEDS = 400
+SEEDS = 200
 
 
 def run_compare(*arguments: object) -> Result:
