@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from processes import LIMIT, Program, Sim
 from shared import table
-from virtual_run import WatchedLink, reached_by, simulated
+from virtual_run import WatchedLink, never_armed, reached_by, simulated
 
 from bench.cli import main
 from protocol.links import Link
-from protocol.messages import DriveState, Role
+from protocol.messages import Role
 
 pytestmark = pytest.mark.slow
 
@@ -103,7 +103,7 @@ def test_a_device_that_is_no_drive(fail: Fail) -> None:
     device.drive.identity = replace(device.drive.identity, role=Role.LOAD)
     link = WatchedLink(device)
     assert "is a LOAD, not a drive" in fail("live", "serial:x", "--speed", "500", link=link)
-    assert DriveState.ARMED not in link.states
+    assert never_armed(link)
 
 
 # -- options ----------------------------------------------------------------------------------------------------
@@ -117,7 +117,7 @@ def test_an_option_that_cannot_be(fail: Fail, tmp_path, monkeypatch, arguments: 
     Path("there.toml").touch()
     link = WatchedLink(simulated())
     assert re.search(says, fail(*SPIN, *arguments.split(), link=link))
-    assert not {DriveState.ARMED, DriveState.RUNNING} & set(link.states)
+    assert never_armed(link)
     assert [path.name for path in tmp_path.iterdir()] == ["there.toml"]
 
 
@@ -127,7 +127,7 @@ def test_the_web_viewers_port_in_use(fail: Fail) -> None:
         link = WatchedLink(simulated())
         error = fail(*SPIN, "--viewer", "web", "--web-port", str(port), link=link, code=4)
     assert f"port {port} for the web viewer is in use" in error
-    assert DriveState.ARMED not in link.states
+    assert never_armed(link)
 
 
 def test_an_observer_for_a_drive_that_is_only_watched(fail: Fail) -> None:

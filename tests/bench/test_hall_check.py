@@ -20,7 +20,7 @@ import pytest
 from click.shell_completion import ShellComplete
 from hall_motor import TABLE_I
 from shared import table
-from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, simulated
+from virtual_run import RecordingScreen, WatchedLink, at_rest, never_armed, physical, simulated
 
 from bench.cli import cli, main
 from bench.errors import BenchError, UnsafeError
@@ -156,7 +156,7 @@ def test_a_drive_without_an_encoder_turns_by_its_hall_sensors_and_leaves_doubt()
 def test_what_a_drive_cannot_do_or_nobody_can_measure_is_refused(option: dict[str, float], words: str) -> None:
     with reached(simulated()) as links, pytest.raises(BenchError, match=words):
         look(Options(TARGET, yes=True, **option))  # type: ignore[arg-type]
-    assert not any(state in (DriveState.ARMED, DriveState.RUNNING) for link in links for state in link.states)
+    assert never_armed(*links)
 
 
 def test_the_slowest_speed_that_is_not_refused_is_enough() -> None:
@@ -223,7 +223,7 @@ def test_nothing_is_energised_without_consent() -> None:
     for confirm in (None, lambda question: False):
         with reached(device) as links, pytest.raises(UnsafeError):
             look(Options(TARGET), confirm)
-        assert not any(state in (DriveState.ARMED, DriveState.RUNNING) for link in links for state in link.states)
+        assert never_armed(*links)
     asked: list[str] = []
 
     def agree(question: str) -> bool:
@@ -258,7 +258,7 @@ def test_passive_watches_a_drive_that_keeps_its_fault_and_changes_nothing_in_it(
     with reached(device, by_hand(device)) as links:
         found = look(Options(TARGET, passive=True, duration=30.0))
     assert [finding.cause for finding in found.findings] == ["sensor a inverted"]
-    assert not any(state in (DriveState.ARMED, DriveState.RUNNING) for link in links for state in link.states)
+    assert never_armed(*links)
     assert machine.parameters == before
     assert min(found.turns.up, found.turns.down) >= 5.0
     assert links[-1].clock() < 25.0  # it did not wait for the time to be up

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from processes import ENVIRONMENT, LIMIT
 from test_prompt import PhysicalDrive
-from virtual_run import WatchedLink, at_rest, physical, simulated
+from virtual_run import WatchedLink, at_rest, never_armed, physical, simulated
 from virtual_run import run as live
 
 import bench
@@ -34,7 +34,6 @@ from tests.bench.accept.accepting import SpoiltLink
 
 I_MAX, N_P = 8.0, 6
 NAMES = ("vt", "ek", "drive_vt")
-ENERGISED = {DriveState.ARMED, DriveState.RUNNING}
 
 
 @pytest.fixture(autouse=True)
@@ -114,7 +113,7 @@ def test_nothing_is_energised_where_nobody_can_be_asked() -> None:
         with pytest.raises(UnsafeError):
             rig.load.torque(0.1)
         assert len(rig.record(0.1)) > 1500  # to look is free
-    assert not ENERGISED & set(link.states)
+    assert never_armed(link)
 
 
 @pytest.mark.parametrize("answer", ["", "n", "nein", EOFError(), NotImplementedError("no stdin")])
@@ -125,7 +124,7 @@ def test_only_a_yes_is_one(monkeypatch: pytest.MonkeyPatch, answer: str | Except
     with connected(link) as rig, pytest.raises(UnsafeError, match=words):
         rig.drive.speed(rad_s=1.0)
     assert len(somebody.asked) == 1
-    assert not ENERGISED & set(link.states)
+    assert never_armed(link)
 
 
 def test_somebody_is_asked_once_for_drive_and_load_and_again_after_a_no(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,7 +196,7 @@ def test_nothing_beyond_the_limits_is_asked_of_the_drive() -> None:
         for act in (rig.drive.speed, rig.load.speed, *both):
             with pytest.raises(TypeError, match=r"give a speed either as rpm=… or as rad_s=…, mechanical"):
                 act()
-        assert not ENERGISED & set(link.states)
+        assert never_armed(link)
         rig.drive.speed(rpm=300)
     assert app.get_param("i_max") == I_MAX
 
@@ -213,7 +212,7 @@ def test_limits_beyond_the_drives_own_are_refused(limits: bench.Envelope, words:
     link = WatchedLink(physical())
     with pytest.raises(BenchError, match=words), connected(link, yes=True, limits=limits):
         pass
-    assert not ENERGISED & set(link.states)
+    assert never_armed(link)
 
 
 # -- what is connected to -------------------------------------------------------------------------------------------

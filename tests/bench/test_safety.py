@@ -9,7 +9,17 @@ import signal
 from dataclasses import replace
 
 import pytest
-from virtual_run import RecordingScreen, WatchedLink, at_rest, of_another_host, physical, run, seen_in, simulated
+from virtual_run import (
+    RecordingScreen,
+    WatchedLink,
+    at_rest,
+    never_armed,
+    of_another_host,
+    physical,
+    run,
+    seen_in,
+    simulated,
+)
 
 from bench.cli import main
 from bench.device.client import Client
@@ -297,10 +307,6 @@ def test_a_drive_that_refuses_its_old_parameters_is_no_success(monkeypatch: pyte
 
 
 # -- consent ----------------------------------------------------------------------------------------------------
-
-
-def never_armed(link: WatchedLink) -> bool:
-    return not {DriveState.ARMED, DriveState.RUNNING} & set(link.states)
 
 
 class TripsAtStop(WatchedLink):

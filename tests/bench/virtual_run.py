@@ -110,6 +110,11 @@ class WatchedLink(VirtualLink):
         super().write(data)
 
 
+def never_armed(*links: WatchedLink) -> bool:
+    """No drive on these links was ever armed."""
+    return not any({DriveState.ARMED, DriveState.RUNNING} & set(link.states) for link in links)
+
+
 def raising(kind: signal.Signals, at: int) -> Callable[[int], None]:
     """For `WatchedLink`: this signal comes at that call."""
     return lambda number: signal.raise_signal(kind) if number == at else None

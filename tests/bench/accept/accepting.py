@@ -20,7 +20,7 @@ from bench.accept.results import Measurement, RunResult, TestResult
 from bench.device.node import DRIVE, SAMPLES
 from protocol.framing import Deframer, parse_frame
 from protocol.links import Link
-from protocol.messages import Command, DriveState, MessageType
+from protocol.messages import Command, MessageType
 from sim.ports.device import SimulatedDevice
 
 HEAD = """
@@ -93,10 +93,6 @@ def plain_pytest(directory: Path, *arguments: str, **environment: str) -> subpro
     (directory / "pytest.ini").write_text("[pytest]\n")
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments]
     return subprocess.run(command, cwd=directory, env=ENVIRONMENT | environment, capture_output=True, text=True)
-
-
-def never_armed(link: WatchedLink) -> bool:
-    return not {DriveState.ARMED, DriveState.RUNNING} & set(link.states)
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
-from accepting import Accepting, SpoiltLink, never_armed
+from accepting import Accepting, SpoiltLink
 from test_prompt import on_terminal
-from virtual_run import at_rest, physical, simulated
+from virtual_run import at_rest, never_armed, physical, simulated
 
 from bench.accept.faults import HallFaults
 from bench.accept.requirements import missing

@@ -11,9 +11,9 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
-from accepting import Accepting, SpoiltLink, never_armed
+from accepting import Accepting, SpoiltLink
 from processes import Program, Sim
-from virtual_run import physical, simulated
+from virtual_run import never_armed, physical, simulated
 
 from bench.accept.accept import closing_lines
 from bench.errors import BenchError
