@@ -321,6 +321,7 @@ def test_none_that_can_be_drawn_is_an_error(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long("all plots of a recording")
 def test_damage_is_told_and_the_rest_is_drawn_and_compared(tmp_path: Path) -> None:
     path, kept = tmp_path / "a.run", DATA / "steady.run"
     shutil.copytree(kept, path)
