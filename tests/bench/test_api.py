@@ -22,6 +22,7 @@ from bench.export import ENDINGS
 from bench.files import leaves
 from bench.record.reader import BESIDE
 from bench.record.recording import CapturedRun, Source
+from tests.choice import sampled
 
 DATA = Path(__file__).parents[1] / "data"
 STEADY, REVERSAL = DATA / "steady.run", DATA / "reversal.run"
@@ -70,7 +71,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("drawn")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", sampled("plots", KINDS, 1, campaign="viewer"))
 def test_plots_are_those_of_the_command(kind: str, drawn: Path) -> None:
     plots = bench.plot(sources(STEADY)[kind], 0.1)
     for figure in told("plot", STEADY, "--from", 0.1, "-o", drawn)["figures"]:  # type: ignore[attr-defined]

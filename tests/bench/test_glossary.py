@@ -77,7 +77,8 @@ def tree(command: click.Command, path: str) -> Iterator[tuple[str, click.Command
 def help_texts() -> Iterator[tuple[str, str]]:
     """Every text of `--help`, by where it stands: also those that only the group's own help has."""
     for path, command in tree(cli, "bench"):
-        context = click.Context(command, info_name=path, help_option_names=["-h", "--help"])  # click keeps the first ones
+        # click keeps the first names that it sees
+        context = click.Context(command, info_name=path, help_option_names=["-h", "--help"])
         yield f"{path} --help", command.get_help(context)
         for what, text in (("help", command.help), ("short help", command.short_help), ("epilog", command.epilog)):
             if text:

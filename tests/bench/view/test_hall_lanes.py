@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from bench.view import schema
 from bench.view.blocks import BlockBuilder
 from bench.view.log import RunLog
 from bench.view.sinks import new_stream
+from tests.choice import sampled
 
 SENSORS = {code: [f"{code >> bit & 1}" for bit in range(3)] for code in range(8)}
 WINDOW = 0.1  # s that the view shows
@@ -45,8 +47,9 @@ def shown_at(found: dict[str, np.ndarray], t: np.ndarray) -> list[list[str]]:
 
 
 # A shaft that rests has one sector; 8 r/min are 4.8 edges a second; 600 r/min are 360.
-@pytest.mark.parametrize("rpm", [0.0, 8.0, 600.0])
-@pytest.mark.parametrize("edges", [True, False])
+@pytest.mark.parametrize(
+    ("rpm", "edges"), sampled("codes", product([0.0, 8.0, 600.0], [True, False]), 2, campaign="viewer")
+)
 def test_the_present_code_is_shown_from_the_first_sample_on(tmp_path: Path, rpm: float, edges: bool) -> None:
     made = synthetic.SyntheticRun(2.0, rpm)
     found = record(tmp_path / "a.run", made, edges)

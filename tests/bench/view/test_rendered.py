@@ -39,7 +39,7 @@ TEXT = (200, 200, 200)
 FIRST_PAGE = ("error_trend", "speed", "dq", "position", "error", "phases")  # plots that no tab hides
 
 
-@pytest.fixture(scope="module", params=sampled("speed", SPEEDS, 2, campaign="viewer"))
+@pytest.fixture(scope="module", params=sampled("speed", SPEEDS, 1, campaign="viewer"))
 def turning(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[int, Path]:
     """A recording at this speed."""
     speed: int = request.param

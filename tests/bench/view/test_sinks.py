@@ -18,6 +18,7 @@ from bench.record.sink import RunSink
 from bench.view import schema, sinks
 from bench.view.log import RunLog
 from bench.view.sinks import LiveSink
+from tests.choice import sampled
 from tests.tools import needs
 from tests.viewers import any_port, headless
 
@@ -42,7 +43,7 @@ def test_without_any_viewer_the_file_is_whole(tmp_path: Path, made: synthetic.Sy
 
 
 @needs("Vulkan driver")
-@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+@pytest.mark.parametrize("number", sampled("viewer's end", [signal.SIGSTOP, signal.SIGKILL], 1, campaign="viewer"))
 def test_a_stopped_or_killed_viewer_costs_live_frames_only(tmp_path, made, number) -> None:
     live = LiveSink(synthetic.run_info(), any_port())
     file = RunSink(tmp_path / "a.run", live.run, wait=True)
