@@ -62,9 +62,9 @@ class Target(ABC):
         return []
 
     @property
-    @abstractmethod
     def place(self) -> str:
         """Where one program may be at a time: the same for all ways to write it."""
+        return str(self).partition("?")[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ class CanTarget(Target):
         """See `Target.place`: the bus, or the serial port of its adapter."""
         if self.channel is not None and self.channel.startswith("/"):
             return str(Path(self.channel).resolve())
-        return f"can:{self.interface}/{self.channel}"
+        return super(CanTarget, self).place  # a dataclass with slots is not the class that `super()` knows
 
     @property
     def rates(self) -> BusRates:
