@@ -77,8 +77,8 @@ def reach(tree: Path, mutants: list[Mutant], workers: str) -> None:
     for file in {_file(tree, mutant) for mutant in mutants}:
         source = (tree / file).read_text()
         lines = source.splitlines()
-        probes = {(_statement(source, _line(source, mutant)), k) for k, mutant in enumerate(mutants)
-                  if _file(tree, mutant) == file}  # fmt: skip
+        at = {k: _line(source, mutant) for k, mutant in enumerate(mutants) if _file(tree, mutant) == file}
+        probes = [(_statement(source, line), k) for k, line in at.items() if line]
         for before, mutant in sorted(probes, reverse=True):
             indent = re.match(" *", lines[before - 1])[0]  # type: ignore[index]
             lines.insert(before - 1, f'{indent}__import__("mutant_probe").at({mutant})')
@@ -94,11 +94,11 @@ def _file(tree: Path, mutant: Mutant) -> str:
 
 
 def _line(source: str, mutant: Mutant) -> int:
-    """The mutant's line."""
+    """The mutant's line, 0 if it is not there any more."""
     lines = source.splitlines()
     inside = [span for name, *span in _functions(source) if name == mutant["function"]]
     rows = [row for first, last in inside for row in range(first, last + 1)]
-    return next(row for row in rows if lines[row - 1].strip() == mutant["before"])
+    return next((row for row in rows if lines[row - 1].strip() == mutant["before"]), 0)
 
 
 def _statement(source: str, line: int) -> int:
@@ -285,17 +285,19 @@ def try_all(tree: Path, mutants: list[Mutant], most: float) -> None:
 
     def one(numbered: tuple[int, Mutant]) -> str:
         number, mutant = numbered
-        if (caught := known.get(number)) is None:
-            caught = trial.outcome(number, mutant)
+        here = _line((tree / _file(tree, mutant)).read_text(), mutant)
+        if here and number not in known:
+            known[number] = trial.outcome(number, mutant)
             with kept.open("a") as file:
-                file.write(json.dumps([number, caught, most]) + "\n")
-        print(f"{'caught' if caught else 'MISSED'} {mutant['file']} {mutant['function']}: "
-              f"{mutant['before']} -> {mutant['after']}  {caught}", flush=True)  # fmt: skip
-        return caught
+                file.write(json.dumps([number, known[number], most]) + "\n")
+        word = "gone" if not here else "caught" if known[number] else "MISSED"
+        what = f"{mutant['file']} {mutant['function']}: {mutant['before']} -> {mutant['after']}"
+        print(number, word, what, known.get(number, ""), flush=True)
+        return word
 
     with ThreadPoolExecutor(2) as pool:
-        caught = list(pool.map(one, enumerate(mutants)))
-    print(f"{sum(map(bool, caught))} of {len(caught)} caught")
+        words = Counter(pool.map(one, enumerate(mutants)))
+    print(f"{words['caught']} of {len(mutants) - words['gone']} caught; {words['gone']} have no line here any more")
 
 
 def main() -> None:

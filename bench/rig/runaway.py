@@ -6,9 +6,10 @@ speed); one electrical revolution too far is a runaway. So noise, single wrong s
 nothing, a short overshoot is allowed, and a motor that takes off is seen within some 50 ms. Time is the drive's:
 samples that are lost count for nothing.
 
-A speed may lie between the one that was there when a setpoint was given and the setpoint, and beyond that by
-`OVERSHOOT` of it, or by `MARGIN` of the drive's limit if that is more. A speed sensor that is wrong is no runaway: one
-sensor's word counts only if the other one does not see the shaft turn as it should. Nothing here stops a motor.
+A speed may lie between the one that was there when a setpoint was given, standstill and the setpoint (a load may slow
+or stall a motor: that is no runaway), and beyond that by `OVERSHOOT` of it, or by `MARGIN` of the drive's limit if that
+is more. A speed sensor that is wrong is no runaway: one sensor's word counts only if the other one does not see the
+shaft turn as it should. Nothing here stops a motor.
 """
 
 from __future__ import annotations
@@ -72,8 +73,8 @@ class _Sensor:
         self.speed = gone / seconds
         self.low, self.high = min(self.low, *aims), max(self.high, *aims)
         bottom, top = self.bounds(margin)
-        self.over = max(0.0, self.over + gone - top * seconds)
-        self.under = max(0.0, self.under + bottom * seconds - gone)
+        self.over = max(0.0, self.over + gone - max(top, margin) * seconds)
+        self.under = max(0.0, self.under + min(bottom, -margin) * seconds - gone)
         self.since = min(self.since, time - seconds) if self.over or self.under else math.inf
         self.low = max(self.low, min(self.speed, *aims))  # it has come nearer: it has no reason to go back
         self.high = min(self.high, max(self.speed, *aims))

@@ -177,9 +177,9 @@ TOO_FAST = ((FULL, 0.3), (3 * FULL, 1.0))
 
 def looked_at(
     turns: tuple[tuple[float, float], ...], encoder: float | None = 1.0, own: float | None = 1.0,
-    edges: float | None = 1.0, late: float = 0.0, lost: range = range(0), noise: float = 0.0,
+    edges: float | None = 1.0, late: float = 0.0, lost: range = range(0), noise: float = 0.0, asked: float = FULL,
 ) -> tuple[str, float]:  # fmt: skip
-    """What was seen and when, s after it went wrong, of a shaft that was asked for `FULL` from the beginning.
+    """What was seen and when, s after it went wrong, of a shaft that was asked for `asked` from the beginning.
 
     `encoder`, `own`, `edges`: what they tell over what is true, None: not streamed. `late`: s after samples that edges
     come. `lost`: chunks of 20 ms that do not. `noise`: of both speeds, rad/s.
@@ -195,7 +195,7 @@ def looked_at(
             kept.append(name)
     config = narrowed(seen.samples.config, kept)
     guard = RunawayGuard(config, edges is not None, {"n_p": 6.0, "omega_m_max": 330.0, "observer": 2.0})
-    guard.ask(FULL / 6.0)
+    guard.ask(asked / 6.0)
     samples = of_channels(replace(seen.samples, raw=raw), config)
     came = seen.edges if edges == 1.0 else part(seen.edges, 0, 0)
     given = 0
@@ -240,6 +240,15 @@ def test_a_motor_that_turns_as_it_was_asked_to_is_not_accused(given: dict[str, A
         ((-0.5 * FULL, 0.1), *STEADY),
     ):
         assert looked_at(turns, **given) == ("", pytest.approx(math.nan, nan_ok=True))
+
+
+@pytest.mark.parametrize("given", [{}, {"encoder": None}, {"edges": None}, {"noise": FULL}], ids=str)
+@pytest.mark.parametrize("most", [1.5, 8.0])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_motor_that_its_load_slows_or_stalls_is_not_accused(way: float, most: float, given: dict[str, Any]) -> None:
+    shares = ((1.0, 0.4), (0.3, 0.3), (0.02, 0.3), (-0.02, 0.2), (0.0, 0.3), (0.7, 0.3), (0.1, 0.3), (1.0, 0.2))
+    turns = tuple((way * share * most * FULL, seconds) for share, seconds in shares)
+    assert looked_at(turns, asked=way * most * FULL, **given)[0] == ""
 
 
 @pytest.mark.parametrize("given", [
