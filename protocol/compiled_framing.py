@@ -15,17 +15,19 @@ from numpy.typing import NDArray
 
 RUN = 254  # most bytes that a code byte stands for without a zero after them
 CRC_BYTES = 4
+CRC_BLOCK = 16  # bytes that go into the CRC at a time; 32 are no quicker
 INTACT, BAD_COBS, BAD_CRC, BAD_LENGTH, TOO_LONG = range(5)
 """What `decode` says of a chunk."""
 
 Bytes = NDArray[np.uint8]
 Words = NDArray[np.uint64]
 Integers = NDArray[np.int64]
+Rows = NDArray[np.int32]
 _READ = types.Array(types.uint8, 1, "C", readonly=True)
 _WRITTEN = types.Array(types.uint8, 1, "C")
 _ROW = types.Array(types.int64, 1, "C")
 _WORDS = types.Array(types.uint64, 1, "C")
-_ROWS = types.Array(types.int64, 2, "C")
+_ROWS = types.Array(types.int32, 2, "C")
 _ONES, _HIGH = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
 _ZERO, _ONE, _RUN = np.uint64(0), np.uint64(1), np.uint64(RUN)
 _ALL = np.uint32(0xFFFFFFFF)
@@ -33,14 +35,14 @@ _RESIDUE = np.uint32(0xDEBB20E3)  # CRC register after any message followed by i
 
 
 def _crc_tables() -> NDArray[np.uint32]:
-    """Of CRC-32 (reflected polynomial 0xEDB88320), for eight bytes at a time: shape (8, 256)."""
+    """Of CRC-32 (reflected polynomial 0xEDB88320), for the bytes of a block in their order: shape (CRC_BLOCK, 256)."""
     table = np.arange(256, dtype=np.uint32)
     for _ in range(8):
         table = np.where(table & 1, table >> 1 ^ np.uint32(0xEDB88320), table >> 1).astype(np.uint32)
     tables = [table]
-    for _ in range(7):
+    for _ in range(CRC_BLOCK - 1):
         tables.append(table[tables[-1] & 0xFF] ^ tables[-1] >> 8)
-    return np.array(tables, np.uint32)
+    return np.array(tables[::-1], np.uint32)
 
 
 _TABLES = _crc_tables()
@@ -60,25 +62,19 @@ def _kept(*arguments: Any) -> Callable[[Any], Any]:
 
 @njit(nogil=True)
 def _crc(data: Bytes, begin: Any, end: Any, crc: Any) -> Any:
-    """The CRC register after these bytes."""
-    k = begin
-    while end - k >= 8:
-        crc ^= np.uint32(data[k]) | np.uint32(data[k + 1]) << 8 | np.uint32(data[k + 2]) << 16
-        crc = np.uint32(crc ^ np.uint32(data[k + 3]) << 24)
-        crc = (
-            _TABLES[7, crc & 0xFF]
-            ^ _TABLES[6, crc >> 8 & 0xFF]
-            ^ _TABLES[5, crc >> 16 & 0xFF]
-            ^ _TABLES[4, crc >> 24]
-            ^ _TABLES[3, data[k + 4]]
-            ^ _TABLES[2, data[k + 5]]
-            ^ _TABLES[1, data[k + 6]]
-            ^ _TABLES[0, data[k + 7]]
-        )
-        k += 8
-    while k < end:
-        crc = np.uint32(_TABLES[0, (crc ^ data[k]) & 0xFF] ^ crc >> 8)
-        k += 1
+    """The CRC register after these bytes: a block of them at a time ("slicing", Kounavis and Berry, ISCC 2005)."""
+    k, last, block = np.uint64(begin), np.uint64(end), np.uint64(CRC_BLOCK)
+    while k + block <= last:
+        register = np.uint32(0)
+        for j in range(np.uint64(CRC_BYTES)):
+            register ^= _TABLES[j, data[k + j] ^ crc >> 8 * j & 0xFF]
+        for j in range(np.uint64(CRC_BYTES), block):
+            register ^= _TABLES[j, data[k + j]]
+        crc = np.uint32(register)
+        k += block
+    while k < last:
+        crc = np.uint32(_TABLES[block - _ONE, (crc ^ data[k]) & 0xFF] ^ crc >> 8)
+        k += _ONE
     return crc
 
 
@@ -88,17 +84,19 @@ def _put(data: Bytes, begin: Any, end: Any, out: Bytes, code: Any, n: Any) -> tu
 
     Indices have no sign, so that nothing looks whether one counts from the end.
     """
-    for k in range(begin, end):
-        byte = data[k]
+    while begin < end:
         if n - code > _RUN:  # full, and more comes
             out[code] = n - code
             code = n
             n += _ONE
-        out[n] = byte
-        if byte == 0:  # its place is that of the next code byte
-            out[code] = n - code
-            code = n
-        n += _ONE
+        stop = min(end, begin + _RUN + _ONE - (n - code))
+        for k in range(begin, stop):
+            byte = data[k]
+            out[n] = byte
+            out[code] = n - code  # no branch: it is written once more where the run goes on
+            code = n if byte == 0 else code  # its place is that of the next code byte
+            n += _ONE
+        begin = stop
     return code, n
 
 
@@ -150,7 +148,7 @@ def _uncovered(data: Bytes, begin: int, end: int) -> int:
 
 
 @_kept(_WRITTEN, _WORDS, _ROWS, types.int64, types.int64, types.int64)
-def _decode(data: Bytes, words: Words, found: Integers, longest: int, payload: int, overhead: int) -> int:
+def _decode(data: Bytes, words: Words, found: Rows, longest: int, payload: int, overhead: int) -> int:
     n, begin = 0, 0
     for w in range(len(words)):
         if not (words[w] - _ONES) & ~words[w] & _HIGH:  # none of its bytes is zero
@@ -173,10 +171,10 @@ def _decode(data: Bytes, words: Words, found: Integers, longest: int, payload: i
                     result = BAD_LENGTH
                 else:
                     result = INTACT
-                found[0, n] = first
-                found[1, n] = last - CRC_BYTES
-                found[2, n] = end - begin
-                found[3, n] = result
+                found[n, 0] = first
+                found[n, 1] = last - CRC_BYTES
+                found[n, 2] = end - begin
+                found[n, 3] = result
                 n += 1
             begin = end + 1
     return n
@@ -207,10 +205,10 @@ def decode(data: bytes, longest: int, payload: int, overhead: int) -> tuple[byte
         overhead: bytes of header and CRC; bytes 4 and 5 of the header say how long the payload is.
 
     Returns:
-        The decoded bytes, and four lists with a number for each chunk: where its header and payload begin in them,
-        where they end, how many bytes the chunk had, and INTACT or what is wrong with it.
+        The decoded bytes, and a row for each chunk: where its header and payload begin in them, where they end, how
+        many bytes the chunk had, and INTACT or what is wrong with it.
     """
     work = np.frombuffer(bytearray(data.ljust(len(data) + 7 & ~7, b"\xff")), np.uint8)
-    found = np.empty((4, data.count(0)), np.int64)
+    found = np.empty((len(data) // 2, 4), np.int32)  # a chunk has two bytes at least, with its zero
     count = _decode(work, work.view(np.uint64), found, longest, payload, overhead)
-    return work.tobytes(), found[:, :count].tolist()
+    return work.tobytes(), found[:count].tolist()

@@ -162,14 +162,15 @@ class Deframer:
             self._skipping = True
             self._tail = b""
 
-        decoded, (begins, ends, lengths, results) = of.decode(data, self._max_chunk, MAX_PAYLOAD, _OVERHEAD)
-        if any(results):  # anything but INTACT
-            counters.noise_bytes += sum(length for length, result in zip(lengths, results, strict=True) if result)
+        decoded, chunks = of.decode(data, self._max_chunk, MAX_PAYLOAD, _OVERHEAD)
+        frames = [decoded[begin:end] for begin, end, _, result in chunks if result == of.INTACT]
+        if len(frames) < len(chunks):
+            damaged = [(length, result) for _, _, length, result in chunks if result != of.INTACT]
+            results = [result for _, result in damaged]
+            counters.noise_bytes += sum(length for length, _ in damaged)
             counters.bad_crc += results.count(of.BAD_CRC)
             counters.bad_cobs += results.count(of.BAD_COBS)
             counters.bad_length += results.count(of.BAD_LENGTH)
             counters.too_long += results.count(of.TOO_LONG)
-        spans = zip(begins, ends, results, strict=True)
-        frames = [decoded[begin:end] for begin, end, result in spans if result == of.INTACT]
         counters.frames += len(frames)
         return frames
