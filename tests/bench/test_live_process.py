@@ -18,6 +18,7 @@ from processes import Program, Sim
 
 from bench.record import space
 from bench.record.reader import Run
+from tests.choice import sampled
 from tests.tools import require
 
 pytestmark = [pytest.mark.real_time, pytest.mark.slow, pytest.mark.long("drive and host in real time")]
@@ -34,7 +35,10 @@ RUNS = {
 SPIN = ("--speed", "500", "--viewer", "none", "--json", "-")
 
 
-@pytest.mark.parametrize(("where", "options"), RUNS.values(), ids=RUNS)
+@pytest.mark.parametrize(
+    ("where", "options"),
+    sampled("run", [pytest.param(*run, id=name) for name, run in RUNS.items()], 1, campaign="real-time"),
+)
 def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
     start: Start, start_sim: StartSim, tmp_path: Path, where: tuple[str, ...], options: tuple[str, ...]
 ) -> None:
@@ -80,7 +84,7 @@ def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
     sim.line(r"outputs off: STOP \(node 1")
 
 
-@pytest.fixture(params=["a limit on files", "a full disk"])
+@pytest.fixture(params=sampled("disk", ("a limit on files", "a full disk"), 1, campaign="real-time"))
 def small_place(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> Iterator[tuple[Path, Callable[[], None] | None, str]]:
@@ -117,7 +121,7 @@ def test_a_full_disk_ends_in_stop_and_a_summary(
     assert run.ended == (limit is None)  # a disk that fills is seen before it is full
 
 
-@pytest.mark.parametrize("where", ["--pty", "--slcan"])
+@pytest.mark.parametrize("where", sampled("unplugged", ("--pty", "--slcan"), 1, campaign="real-time"))
 def test_an_unplugged_cable_is_waited_for_and_the_motor_is_not_started_again(
     start: Start, start_sim: StartSim, tmp_path: Path, where: str
 ) -> None:
