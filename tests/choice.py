@@ -10,7 +10,7 @@ import functools
 import os
 import random
 import subprocess
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TypeVar
 
@@ -51,10 +51,11 @@ def chosen(what: str, items: Iterable[T], count: int) -> list[T]:
 def sampled(what: str, items: Iterable[object], count: int, *, campaign: str) -> list[ParameterSet]:
     """The items for `parametrize`, a tuple for several arguments: `count` in the suite, the others in that campaign.
 
-    A campaign has them all. Items of `pytest.param` keep their marks and ids.
+    A campaign has them all. Items of `pytest.param` keep their marks and ids; keys of a mapping are ids.
     """
-    every = [item if isinstance(item, ParameterSet) else pytest.param(*item if isinstance(item, tuple) else (item,))
-             for item in items]  # fmt: skip
+    named = items.items() if isinstance(items, Mapping) else ((None, item) for item in items)
+    every = [item if isinstance(item, ParameterSet) else pytest.param(*item if type(item) is tuple else [item], id=key)
+             for key, item in named]  # fmt: skip
     here = () if os.environ.get(CAMPAIGN) else chosen(what, range(len(every)), count)
     late = pytest.mark.campaign(campaign)
     return [item if k in here else item._replace(marks=(*item.marks, late)) for k, item in enumerate(every)]

@@ -78,7 +78,7 @@ def judge(case: Case, link: str, capsys: pytest.CaptureFixture[str]) -> tuple[st
     return ran.out + ran.err, device
 
 
-@cases(*TABLES["unsafe"])
+@cases(*TABLES["unsafe"], share=2)
 def test_an_end_that_is_not_safe_is_shouted(case: Case, link: str, capsys: pytest.CaptureFixture[str]) -> None:
     _, device = judge(case, link, capsys)
     assert device.outputs_on  # or the case would be none
@@ -92,7 +92,7 @@ def test_stop_is_repeated_until_the_outputs_are_off(case: Case, link: str, capsy
     assert not device.outputs_on
 
 
-@cases(*TABLES["states"])
+@cases(*TABLES["states"], share=2)
 def test_states_and_watchdog(case: Case, link: str, capsys: pytest.CaptureFixture[str]) -> None:
     _, device = judge(case, link, capsys)
     assert not device.outputs_on

@@ -25,6 +25,7 @@ from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import CanNetwork
 from sim.ports.virtual import VirtualLink
+from tests.choice import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -198,7 +199,7 @@ def agree_on_samples(stream: NodeStream, raw: dict[str, list], scaled: dict[str,
 # -- frames as they were on the bus -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", sampled("cantools", tuple(CASES), 3, campaign="can"))
 def test_cantools_reads_our_numbers(name: str) -> None:
     """Six times 5000 frames and more, every one: the same integers, and the same float64s."""
     recorded = recording(name)

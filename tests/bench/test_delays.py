@@ -17,6 +17,7 @@ from bench.hall.trace import trace
 from bench.score.board import score
 from bench.signal.delays import delays
 from bench.signal.verdict import Verdict
+from tests.choice import sampled
 
 FAST = REAL.but(turns=((300.0, 0.6), (650.0, 0.6), (0.0, 0.05), (-300.0, 0.6), (-650.0, 0.6)))
 OTHER_MOTOR = """
@@ -89,12 +90,17 @@ def test_a_score_says_that_the_encoder_is_late():
     assert not any("angles differ" in note for note in from_prompt.notes)
 
 
-@pytest.mark.parametrize("motor", ["", OTHER_MOTOR], ids=["paper", "other"])
-@pytest.mark.parametrize(("late", "rpm", "cause"), [
+LATE = (
     ("encoder", 1000.0, "the encoder is 100 us late"),
     ("encoder", 240.0, "the Hall edges lead the encoder by 100 us"),
     ("hall", 1000.0, None),
-])  # fmt: skip
+)
+
+
+@pytest.mark.parametrize(
+    ("motor", "late", "rpm", "cause"),
+    sampled("late", [(motor, *late) for motor in ("", OTHER_MOTOR) for late in LATE], 3, campaign="motors"),
+)
 def test_a_check_tells_a_late_encoder_from_late_hall_sensors(tmp_path: Path, motor, late, rpm, cause):
     config = tmp_path / "drive.toml"
     config.write_text(f"{motor}\n[{late}]\nlatency = 1e-4\n")

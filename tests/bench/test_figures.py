@@ -29,6 +29,7 @@ from bench.signal import windows
 from bench.signal.chunks import part
 from bench.signal.colours import OBSERVERS
 from bench.signal.error_bins import ANGLES, BINS, MOST, ErrorByAngle, ErrorBySpeed, angle_bins
+from tests.choice import sampled
 
 DATA = Path(__file__).parents[1] / "data"
 N = PWM_HZ  # samples of a second
@@ -57,7 +58,7 @@ def currents(theta: np.ndarray) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.long("plots of a long recording")
-@pytest.mark.parametrize("encoder", [True, False])
+@pytest.mark.parametrize("encoder", sampled("encoder", (True, False), 1, campaign="examples"))
 def test_the_distortion_is_that_of_the_harmonics(encoder: bool, tmp_path: Path) -> None:
     """At rest, then two steady stretches, of which the longer one counts, with a ramp between them."""
     rpm = np.concatenate([np.zeros(N // 2), np.full(N, 300.0), np.linspace(300, 507, N // 10), np.full(2 * N, 507.0)])

@@ -35,10 +35,7 @@ RUNS = {
 SPIN = ("--speed", "500", "--viewer", "none", "--json", "-")
 
 
-@pytest.mark.parametrize(
-    ("where", "options"),
-    sampled("run", [pytest.param(*run, id=name) for name, run in RUNS.items()], 1, campaign="real-time"),
-)
+@pytest.mark.parametrize(("where", "options"), sampled("run", RUNS, 1, campaign="real-time"))
 def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
     start: Start, start_sim: StartSim, tmp_path: Path, where: tuple[str, ...], options: tuple[str, ...]
 ) -> None:

@@ -41,7 +41,7 @@ NO_LOAD = {  # r/min at 24 V by the figures that the sources have
     "teknic-m-2310p": 60 * 24 / math.sqrt(3) / 0.0399353 / 4,
 }
 each_motor = pytest.mark.parametrize("name", NO_LOAD)
-turning_motor = pytest.mark.parametrize("name", sampled("motor", NO_LOAD, 1, campaign="motors"))
+turning_motor = pytest.mark.parametrize("name", sampled("motor", tuple(NO_LOAD), 1, campaign="motors"))
 
 
 @contextmanager

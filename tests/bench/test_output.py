@@ -21,6 +21,7 @@ from bench.cli import main
 from bench.cli.streams import echo, standard_streams
 from bench.errors import BenchError
 from bench.files import write
+from tests.choice import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -281,13 +282,13 @@ def test_control_characters_are_shown_and_not_obeyed(capsys: pytest.CaptureFixtu
     assert capsys.readouterr().out == "one\\x1b[2J\ntwo\\r\\u202e\n"
 
 
-@pytest.mark.parametrize(("shell", "code", "err"), [
+@pytest.mark.parametrize(("shell", "code", "err"), sampled("streams", (
     ("replay --list >&-", 141, ""),
     ("replay --list >&- 2>&- <&-", 141, ""),
     ("replay --list 2>&- <&-", 0, ""),
     ("replay --list > /dev/full", 2, "error: standard output cannot be written: No space left on device\n"),
     ("replay --list | true; exit ${PIPESTATUS[0]}", 141, ""),
-])  # fmt: skip
+), 3, campaign="terminal"))  # fmt: skip
 def test_streams_of_a_real_process(shell: str, code: int, err: str) -> None:
     done = subprocess.run(
         ["bash", "-c", f"{sys.executable} -m bench {shell}"],

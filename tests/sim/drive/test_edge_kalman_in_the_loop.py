@@ -42,7 +42,7 @@ def taught(bench: Proving) -> Proving:
     return bench
 
 
-@pytest.mark.parametrize("what", sampled("altered", ALTERED, 1, campaign="kalman"))
+@pytest.mark.parametrize("what", sampled("altered", tuple(ALTERED), 1, campaign="kalman"))
 def test_each_thing_that_a_bench_may_have_alone_leaves_it_within_its_limits_and_better_than_vector_tracking(what):
     found = sweep(taught(altered(KALMAN, what, 41)))
     own, other = (worst(point[k] for point in found.values()) for k in (0, 1))
