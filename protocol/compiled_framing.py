@@ -53,14 +53,14 @@ def _kept(*arguments: Any) -> Callable[[Any], Any]:
 
     def decorated(function: Any) -> Any:
         try:
-            return njit(types.int64(*arguments), cache=True, nogil=True)(function)
+            return njit(types.int64(*arguments), cache=True)(function)
         except (RuntimeError, OSError):
-            return njit(types.int64(*arguments), nogil=True)(function)
+            return njit(types.int64(*arguments))(function)
 
     return decorated
 
 
-@njit(nogil=True)
+@njit()
 def _crc(data: Bytes, begin: Any, end: Any, crc: Any) -> Any:
     """The CRC register after these bytes: a block of them at a time ("slicing", Kounavis and Berry, ISCC 2005)."""
     k, last, block = np.uint64(begin), np.uint64(end), np.uint64(CRC_BLOCK)
@@ -78,7 +78,7 @@ def _crc(data: Bytes, begin: Any, end: Any, crc: Any) -> Any:
     return crc
 
 
-@njit(nogil=True)
+@njit()
 def _put(data: Bytes, begin: Any, end: Any, out: Bytes, code: Any, n: Any) -> tuple[Any, Any]:
     """Add bytes to `out`, whose last code byte belongs at `code` and whose next byte at `n`; return both.
 
@@ -126,7 +126,7 @@ def _encode(
     return np.int64(n)
 
 
-@njit(nogil=True)
+@njit()
 def _uncovered(data: Bytes, begin: int, end: int) -> int:
     """Decode a chunk where it lies: what it held is from the byte behind `begin` on. Return its end, 0 if damaged."""
     removed, full, k = 0, True, begin

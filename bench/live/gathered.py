@@ -20,17 +20,21 @@ class Gathered:
     def __init__(self, sinks: Sequence[Sink]) -> None:
         self._sinks = sinks
         self._held: dict[StreamConfig, list[Chunk]] = {}
-        self._due: tuple[int, int] = (0, 0)  # ticks between which more is held back
+        self._handed: int | None = None  # tick of the newest record when something was last handed on
 
     def take(self, item: Heard) -> None:
-        """Hold back chunks, but the very first; they are due when the clock has restarted, too."""
+        """Hold back chunks, but the very first; they are due when the clock has restarted, too.
+
+        Samples say when, so that edges always lag behind them alike; edges do where no samples come.
+        """
         if not isinstance(item, SampleChunk | EdgeChunk):
             self._hand_on(item)
             return
         self._held.setdefault(item.config, []).append(item)
         newest = int(item.tick[-1])
-        if not self._due[0] <= newest < self._due[1]:
-            self._due = newest, newest + round(PERIOD * item.config.tick_hz)
+        period = PERIOD if item.config.channels else 2 * PERIOD
+        if self._handed is None or abs(newest - self._handed) >= period * item.config.tick_hz:
+            self._handed = newest
             self.flush()
 
     def flush(self) -> None:

@@ -18,7 +18,7 @@ from bench.findings.motor import FluxLinkage
 from bench.findings.pole_pairs import ComparedTurns
 from bench.findings.wiring import Wires
 from bench.signal.channels import flagged, reference_angle, speed_channel
-from bench.signal.position import ErrorTable, states
+from bench.signal.position import ErrorTable, last_state
 from bench.signal.units import pole_pairs
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, steps_between
 from protocol.messages import DriveState
@@ -68,7 +68,7 @@ class Plausibility:
         self._not_finite.add(chunk)
         if self._theta and "hall" in self._names:  # in any state
             self._wires.add(chunk.physical(self._theta), chunk.raw["hall"])
-        if (told := states(chunk)) is not None and told[-1] != DriveState.RUNNING:
+        if last_state(chunk) not in (None, DriveState.RUNNING):
             self._turns.samples(chunk, None)
             return
         seconds = len(chunk) / self._rate

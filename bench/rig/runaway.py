@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from bench.device.heard import Heard
 from bench.signal.channels import flagged, reference_angle, speed_channel
-from bench.signal.chunks import join, part
-from bench.signal.position import states, wrap
+from bench.signal.chunks import join
+from bench.signal.position import last_state, wrap
 from bench.signal.units import RPM, pole_pairs
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, steps_between
 from protocol.messages import DriveState
@@ -139,8 +139,9 @@ class Runaway:
 
     def by_edges(self, time: float, seconds: float, steps: NDArray[np.float64]) -> None:
         """The Hall sensors went on by `steps` sectors, (n,), in `seconds` of the drive's time, until `time`."""
-        gone = SECTOR_WIDTH * float(steps.sum())
-        self._hall.moved(time, seconds, gone, self._margin, self._aims, bool((np.abs(steps) == 1).all()))
+        each: list[float] = steps.tolist()  # a few at a time, which are counted sooner than added by numpy
+        clean = each.count(1.0) + each.count(-1.0) == len(each)
+        self._hall.moved(time, seconds, SECTOR_WIDTH * sum(each), self._margin, self._aims, clean)
 
     def by_encoder(self, time: float, seconds: float, gone: float) -> None:
         """The encoder went on by `gone`, electrical rad, in so many s."""
@@ -234,17 +235,17 @@ class RunawayGuard(Runaway):
             self._look(block)
 
     def _look(self, block: SampleChunk) -> None:
-        told = states(part(block, len(block) - 1, len(block)))
-        if told is not None and told[0] != DriveState.RUNNING:
+        if last_state(block) not in (None, DriveState.RUNNING):
             self._forget()
             return
         time, seconds = int(block.tick[-1]) / block.config.tick_hz, len(block) / block.config.rate
+        margin, aims = self._margin, self._aims
         for sensor, channel in ((self._encoder, self._omega), (self._own, self._estimate)):
             if channel and math.isfinite(speed := _median(block, channel)):
-                sensor.moved(time, seconds, speed * seconds, self._margin, self._aims)
+                sensor.moved(time, seconds, speed * seconds, margin, aims)
         if self._theta and not block.gaps:
             fastest = 0.5 * math.pi * block.config.rate  # whose direction the samples of an angle tell
-            if max(map(abs, self._encoder.bounds(self._margin))) < fastest:
+            if max(map(abs, self._encoder.bounds(margin))) < fastest:
                 step = float(np.median(wrap(np.diff(block.physical(self._theta)))))
                 self.by_encoder(time, seconds, step * len(block))
         self.judge(time)

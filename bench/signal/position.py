@@ -46,10 +46,19 @@ def position_errors(chunk: SampleChunk) -> dict[str, NDArray[np.float64]]:
 
 def states(chunk: SampleChunk) -> NDArray[np.int64] | None:
     """The drive's state at each sample by the channel status, shape (n,); None where no whole numbers tell it."""
-    if "status" not in (chunk.raw.dtype.names or ()) or chunk.raw["status"].dtype.kind not in "iu":
-        return None
-    told: NDArray[np.int64] = chunk.raw["status"].astype(np.int64) & STATUS_STATE_MASK
-    return told
+    words = _status(chunk)
+    return None if words is None else words.astype(np.int64) & STATUS_STATE_MASK
+
+
+def last_state(chunk: SampleChunk) -> int | None:
+    """The state at the last sample; None as `states`."""
+    words = _status(chunk)
+    return None if words is None else int(words[-1]) & STATUS_STATE_MASK
+
+
+def _status(chunk: SampleChunk) -> NDArray[Any] | None:
+    words = chunk.raw["status"] if "status" in (chunk.raw.dtype.names or ()) else None
+    return None if words is None or words.dtype.kind not in "iu" else words
 
 
 def running(chunk: SampleChunk) -> NDArray[np.bool_]:
