@@ -29,8 +29,10 @@ WRONG = {
     "an encoder turned by 120 deg": ({"encoder__offset_deg": 120.0}, {}, "off the encoder: more than a Hall sector"),
     "wires rotated, no encoder": ({"wiring__hall_swap": 4, "encoder__present": 0}, {}, "by its Hall sensors"),
 }
+NO_REFERENCE = "position error (no angle with the flag REFERENCE)"
 UNSEEN = {
-    "no encoder": ({"encoder__present": 0}, {}, "position error (no angle with the flag REFERENCE)"),
+    "no encoder": ({"encoder__present": 0}, {}, NO_REFERENCE),
+    "nor for long": ({"encoder__present": 0}, {"duration": 2.2, "speed_rpm": 370.0}, NO_REFERENCE),
     "too short": ({}, {"duration": 0.4}, "whether 300 r/min are held (too short a time)"),
     "sampled too seldom": (
         {},
