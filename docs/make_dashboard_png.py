@@ -51,7 +51,7 @@ def main() -> None:
             subprocess.run([*command, "--save", str(recording)], stdin=subprocess.DEVNULL, check=True)
             run = Run(recording)
             last = run.span[0] + round(picture.moment * run.info.tick_hz)
-            write_rrd(run, rrd, None, last, picture.page)
+            write_rrd(run, rrd, last=last, page=picture.page)
             draw(rrd, Path(__file__).with_name(picture.name), picture.size)
 
 

@@ -16,7 +16,8 @@ from zlib import crc32
 import numpy as np
 
 from bench.errors import NodeError
-from bench.rig.rig import Plan, Recording, Rig
+from bench.rig.outputs import Recording
+from bench.rig.rig import Plan, Rig
 from bench.signal.sources import source_number
 from bench.signal.units import RPM
 from sim.config.params import BenchParams, load_params
@@ -39,7 +40,9 @@ def rig_for(name: str, observer: str, table: bool = True, path: Path | None = No
     drive = rig.drive.node
     for key, value in (edges(params) if table else {}).items():
         drive.set(key, value)
-    drive.set("observer", source_number(observer))
+    number = source_number(observer)
+    assert number is not None, observer
+    drive.set("observer", number)
     return rig.prepare([drive.channels(None if path else CHANNELS)], Recording(path))
 
 
