@@ -32,6 +32,7 @@ BACKLOG_LIMIT = 512 << 20  # bytes waiting for the disk: ten minutes of 16 kHz x
 CLOSE_TIMEOUT = 60.0  # s for the disk to take what is left
 INBOX_PERIOD = 0.05  # s between looks for marks that were asked for
 SPACE_PERIOD = 2.0  # s between looks at the room on the disk
+HELD_BACK = 0.001  # s between looks of a caller that is faster than the disk
 
 Now = Callable[[], float]
 _Queued = tuple[Kept, float | None]  # and when the first sample of a chunk was taken
@@ -71,7 +72,7 @@ class RunSink:
         self._wait, self._now = wait, now
         self._queue: queue.SimpleQueue[_Queued | None] = queue.SimpleQueue()
         self._backlog = 0
-        self._taken = threading.Condition()
+        self._counting = threading.Lock()  # no Condition: Ctrl-C in the middle of its methods would leave it locked
         self._room = space.Room(stored.keep or math.inf)
         if why := space.too_little(self.path, self._free_bytes()):
             raise RecordingError(f"recording {self.path}: {why}")
@@ -89,12 +90,11 @@ class RunSink:
         taken: float | None = None
         if isinstance(item, SampleChunk):
             taken = self._now() if self.host_time is None else self.host_time(float(item.tick[0]))
-        with self._taken:
-            if self._wait:
-                self._taken.wait_for(lambda: self._backlog < BACKLOG_LIMIT or self.error is not None)
-            elif self._backlog > BACKLOG_LIMIT:
-                self._fail(f"{self._backlog >> 20} MiB wait to be written; use a faster disk, --rate or --channels")
-            self._backlog += _size(item)
+        while self._wait and self._backlog >= BACKLOG_LIMIT and self.error is None:
+            time.sleep(HELD_BACK)
+        if self._backlog > BACKLOG_LIMIT:
+            self._fail(f"{self._backlog >> 20} MiB wait to be written; use a faster disk, --rate or --channels")
+        self._count(_size(item))
         self._queue.put((item, taken))
 
     @property
@@ -163,10 +163,12 @@ class RunSink:
         self._parts.take(item)
         if taken is not None and isinstance(item, SampleChunk):
             self.latency.add(self._now() - taken, len(item))
-        if size := _size(item):
-            with self._taken:
-                self._backlog -= size
-                self._taken.notify_all()
+        self._count(-_size(item))
+
+    def _count(self, size: int) -> None:
+        """So many bytes more wait to be written."""
+        with self._counting:
+            self._backlog += size
 
     def _take_marks(self) -> None:
         """Write the marks that were asked for, at the device time of the moment in which they were."""
@@ -197,8 +199,6 @@ class RunSink:
     def _fail(self, what: str, cause: Exception | None = None) -> None:
         self.error = RecordingError(f"recording {self.path}: {what}")
         self.error.__cause__ = cause
-        with self._taken:
-            self._taken.notify_all()
 
 
 def _size(item: Kept) -> int:

@@ -6,6 +6,7 @@ import _thread
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from bench.errors import Interrupted
 from sim.interrupts import ENDING, Held
 
 AGAIN = 0.01  # s
+LOCKS = threading.__file__
 IMPORT = "<frozen importlib._bootstrap>"
 """The file that Python gives for the code of its import system."""
 
@@ -37,6 +39,7 @@ def none_dropped() -> Iterator[None]:
 
     Python drops what is raised in a finaliser or in a callback of a weak reference, and tells of it. Within an import,
     modules in C drop it without a word, and classes wrap it in another one: there it waits until the import is done.
+    Within the methods of a Condition it would leave a lock behind that nobody opens: there it waits as well.
     """
     before = sys.unraisablehook
 
@@ -71,7 +74,7 @@ def _handled(exceptions: dict[signal.Signals, Callable[[int], BaseException]]) -
     outside = _imports(sys._getframe())  # this program itself may be run by an import
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        if _imports(frame) > outside:
+        if _imports(frame) > outside or _locks(frame):
             _again(number)
         else:
             raise exceptions[signal.Signals(number)](number)
@@ -93,8 +96,16 @@ def _imports(frame: FrameType | None) -> int:
     return found
 
 
+def _locks(frame: FrameType | None) -> bool:
+    """Whether `frame` is one of Python's `threading` that takes or releases a lock, and does not wait for long."""
+    if frame is None or frame.f_code.co_filename != LOCKS or frame.f_code.co_name == "_wait_for_tstate_lock":
+        return False  # that is in Thread.join
+    waits = frame.f_code.co_name == "wait"  # Condition's: it is safe once it has this variable
+    return not waits or ("waiter" in frame.f_locals and "gotit" not in frame.f_locals)
+
+
 def _again(number: int) -> None:
-    """The signal comes again soon, not in here. No `threading`: its locks may be held where a handler runs."""
+    """The signal comes again soon, not in here. No Thread: its locks may be held where a handler runs."""
 
     def send() -> None:
         time.sleep(AGAIN)

@@ -13,6 +13,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from bench.device.heard import ClockRestarted
@@ -64,18 +65,19 @@ class LiveSink:
         self.logged_samples = 0
         self.logged_edges = 0
         self._now = now
-        self._ready = threading.Event()
+        self._ready: queue.SimpleQueue[None] = queue.SimpleQueue()  # no Event, no queue.Queue: see `RunSink`
         self._builder = BlockBuilder(HOLD_PERIOD if hold else BLOCK_PERIOD, run.tick_hz)
         self.dropped_blocks = 0
         self.dropped_samples = 0
         self.error: str | None = None
-        self._queue: queue.Queue[_Item] = queue.Queue(HOLD_QUEUE if hold else LIVE_QUEUE)
-        self._closing = threading.Event()
+        self._queue: queue.SimpleQueue[_Item] = queue.SimpleQueue()
+        self._closing = False
         self._hold = hold
         self._stream, self.url = _serve(run, port, sector)
         self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
         self._thread.start()
-        self._ready.wait(READY_TIMEOUT)  # until it has imported what it needs, because streaming data would not wait
+        with suppress(queue.Empty):  # it imports what it needs, because streaming data would not wait
+            self._ready.get(timeout=READY_TIMEOUT)
 
     def take(self, item: Kept) -> None:
         """Have an item shown; edges go out no later than the samples that follow them. Marks are the recording's."""
@@ -103,7 +105,7 @@ class LiveSink:
     def close(self) -> bool:
         """Give viewers what is queued and end the server; False if a stalled viewer keeps it from ending in time."""
         self._pass_on(self._now(), everything=True)
-        self._closing.set()
+        self._closing = True
         self._thread.join(LIVE_CLOSE_TIMEOUT)
         return not self._thread.is_alive()
 
@@ -122,12 +124,11 @@ class LiveSink:
         self.logged_edges += item.n_edges
 
     def _put(self, item: _Item) -> None:
-        try:
-            self._queue.put_nowait(item)
-        except queue.Full:
-            if isinstance(item, Block):
-                self.dropped_blocks += 1
-                self.dropped_samples += item.n_samples
+        if self._queue.qsize() < (HOLD_QUEUE if self._hold else LIVE_QUEUE):
+            self._queue.put(item)
+        elif isinstance(item, Block):
+            self.dropped_blocks += 1
+            self.dropped_samples += item.n_samples
 
     def _work(self) -> None:
         from bench.view.log import RunLog
@@ -135,12 +136,12 @@ class LiveSink:
         try:
             log = RunLog(self._stream, self.run, live=True, newest=HELD if self._hold else math.inf)
             log.start()
-            self._ready.set()
+            self._ready.put(None)
             while True:
                 try:
                     item = self._queue.get(timeout=TOUCH_PERIOD if self._hold else 0.1)
                 except queue.Empty:
-                    if self._closing.is_set():
+                    if self._closing:
                         break
                     if self._hold:
                         log.touch()
@@ -152,7 +153,7 @@ class LiveSink:
         except Exception as error:  # the live view is a convenience: the run goes on without it
             self.error = str(error)
         finally:
-            self._ready.set()
+            self._ready.put(None)
 
 
 def new_stream(run: RunInfo) -> rr.RecordingStream:

@@ -7,8 +7,10 @@ exception of python-can through.
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import can
@@ -179,8 +181,8 @@ class _Reader:
         self._health = health
         self._with_kinds = interface in WITH_KINDS
         self._spins = interface == "socketcand"
-        self._arrived = threading.Condition()
-        self._ended = threading.Event()
+        self._changing = threading.Lock()  # no Condition, no Event: Ctrl-C in their methods would leave them locked
+        self._news: queue.SimpleQueue[None] = queue.SimpleQueue()  # something has come, or nothing more will
         self._buffer = bytearray()
         self._off = False  # what the bus object last said
         self._rejected = (0, 0)  # malformed and refused, of the bus object
@@ -196,27 +198,25 @@ class _Reader:
 
     def take(self, timeout: float, settle: float) -> bytes:
         """Do `Link.read`."""
-        with self._arrived:
-            self._arrived.wait_for(lambda: self._buffer or self.lost is not None, max(0.0, timeout))
-            waiting = len(self._buffer)
-            if not waiting:
-                if self.lost is not None:
-                    raise LinkClosed(self.lost)
-                return b""
-        if settle > 0.0 and waiting < _READ:
-            self._ended.wait(settle)
-        with self._arrived:
+        until = time.monotonic() + timeout
+        with suppress(queue.Empty):
+            while not self._buffer and self.lost is None:
+                self._news.get(timeout=max(0.0, until - time.monotonic()))
+        waiting = len(self._buffer)
+        if not waiting and self.lost is not None:
+            raise LinkClosed(self.lost)
+        if settle > 0.0 and 0 < waiting < _READ:
+            time.sleep(settle)
+        with self._changing:
             data = bytes(self._buffer[:_READ])
             del self._buffer[:_READ]
         return data
 
     def end(self, reason: str) -> None:
         """Let the thread end and wake who waits for it; the first reason stays."""
-        with self._arrived:
-            if self.lost is None:
-                self.lost = reason
-            self._ended.set()
-            self._arrived.notify_all()
+        with self._changing:
+            self.lost = self.lost or reason
+        self._news.put(None)
 
     def close(self) -> None:
         """End, and let go of the bus."""
@@ -226,7 +226,7 @@ class _Reader:
 
     def _run(self) -> None:
         since, computed = time.monotonic(), time.thread_time()  # of the wait for the next frame
-        while not self._ended.is_set():
+        while self.lost is None:
             rows = bytearray()
             reason = ""
             try:
@@ -290,12 +290,12 @@ class _Reader:
         self._health.received += len(records) - len(errors)
         for error in errors:
             self._count_error(error)
-        with self._arrived:
+        with self._changing:
             kept = rows[: MAX_BUFFER - len(self._buffer)]
             self._health.dropped += (len(rows) - len(kept)) // RECORD_BYTES
-            if not self._buffer:
-                self._arrived.notify_all()
             self._buffer += kept
+        if self._news.empty():
+            self._news.put(None)
 
     def _count_error(self, record: np.void) -> None:
         kind = error_kind(int(record["id"]), int(record["data"][1]))

@@ -25,6 +25,7 @@ from processes import ENVIRONMENT, LIMIT
 from test_prompt import on_terminal
 
 from bench.rig.interrupts import none_dropped
+from tests.bench.often_interrupted import OF
 from tests.choice import CAMPAIGN, sampled
 
 pytestmark = pytest.mark.slow
@@ -233,3 +234,9 @@ def test_ctrl_c_when_all_is_done_ends_without_a_word() -> None:
     done = subprocess.run([sys.executable, "-c", LATE, "--version"], capture_output=True, text=True, env=ENVIRONMENT)
     assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
     assert done.stdout.startswith("bench, version ")
+
+
+@pytest.mark.parametrize("name", sampled("what Ctrl-C may leave locked", list(OF), 2, campaign="interrupts"))
+def test_ctrl_c_at_any_moment_leaves_nothing_locked(name: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tests.bench.often_interrupted", name, str(tmp_path)]
+    subprocess.run(command, check=True, timeout=LIMIT)  # what is locked waits for ever
