@@ -90,9 +90,10 @@ class RunSink:
         taken: float | None = None
         if isinstance(item, SampleChunk):
             taken = self._now() if self.host_time is None else self.host_time(float(item.tick[0]))
-        while self._wait and self._backlog >= BACKLOG_LIMIT and self.error is None:
-            time.sleep(HELD_BACK)
-        if self._backlog > BACKLOG_LIMIT:
+        if self._wait:
+            while self._backlog >= BACKLOG_LIMIT and self.error is None:
+                time.sleep(HELD_BACK)
+        elif self._backlog > BACKLOG_LIMIT:
             self._fail(f"{self._backlog >> 20} MiB wait to be written; use a faster disk, --rate or --channels")
         self._count(_size(item))
         self._queue.put((item, taken))

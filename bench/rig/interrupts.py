@@ -16,7 +16,7 @@ from bench.errors import Interrupted
 from sim.interrupts import ENDING, Held
 
 AGAIN = 0.01  # s
-LOCKS = threading.__file__
+CONDITION = {found.__code__ for found in vars(threading.Condition).values() if hasattr(found, "__code__")}
 IMPORT = "<frozen importlib._bootstrap>"
 """The file that Python gives for the code of its import system."""
 
@@ -97,11 +97,10 @@ def _imports(frame: FrameType | None) -> int:
 
 
 def _locks(frame: FrameType | None) -> bool:
-    """Whether `frame` is one of Python's `threading` that takes or releases a lock, and does not wait for long."""
-    if frame is None or frame.f_code.co_filename != LOCKS or frame.f_code.co_name == "_wait_for_tstate_lock":
-        return False  # that is in Thread.join
-    waits = frame.f_code.co_name == "wait"  # Condition's: it is safe once it has this variable
-    return not waits or ("waiter" in frame.f_locals and "gotit" not in frame.f_locals)
+    """Whether `frame` is a method of Python's Condition, and may hold its lock; where one waits it does not."""
+    if frame is None or frame.f_code not in CONDITION:
+        return False
+    return frame.f_code.co_name != "wait" or "gotit" not in frame.f_locals  # with that variable an exception is safe
 
 
 def _again(number: int) -> None:

@@ -236,6 +236,7 @@ def test_ctrl_c_when_all_is_done_ends_without_a_word() -> None:
     assert done.stdout.startswith("bench, version ")
 
 
+@pytest.mark.long("hundreds of signals")
 @pytest.mark.parametrize("name", sampled("what Ctrl-C may leave locked", list(OF), 2, campaign="interrupts"))
 def test_ctrl_c_at_any_moment_leaves_nothing_locked(name: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tests.bench.often_interrupted", name, str(tmp_path)]

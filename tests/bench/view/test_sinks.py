@@ -144,7 +144,8 @@ def test_latency_is_by_the_clock_that_holds_as_samples_come(tmp_path: Path, made
 
 
 def test_a_disk_that_takes_no_more_is_told_once_and_what_was_written_reads(tmp_path, made, monkeypatch) -> None:
-    """From the hundredth chunk on the disk is full."""
+    """From the hundredth chunk on the disk is full, while whoever records is held back."""
+    monkeypatch.setattr(sink, "BACKLOG_LIMIT", 1)
     write, written = writer.write_all, []
 
     def full(descriptor: int, data: bytes) -> None:
