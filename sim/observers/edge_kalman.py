@@ -21,7 +21,11 @@ number of samples over which the error stays the same.
   with the usual ones. Beyond `SURPRISE` times the expected variance it assumes that the acceleration has been different
   for `SURPRISE_BACK` seconds already.
 - An edge far from the estimate is taken as correct, and the filter restarts from it with the mean speed since the last
-  edge. If the back-EMF is strong and has been quiet, the edge is taken as wrong instead, up to `OFF_MAX` times running.
+  edge. If the back-EMF is strong and has been quiet, the edge is taken as wrong instead, until all sensors contradict.
+- A pulse and a bounce go back. An edge that comes too early, or turns a rotor back that surely turns forward, is held:
+  forgotten if its level returns; used if the next edge in turn comes early as well. One that comes a little too early
+  is used once it is due, with little weight; one back just after an edge if its level stays. What follows upon an edge
+  within half a turn is no second one, unless it fits better than the first, which then was a pulse.
 - If an edge is overdue, the angle stays before it and the speed is limited accordingly. If the back-EMF gives the speed
   precisely, this is left out, because a broken wire would hold the angle for ever.
 - After rejected edges, once the back-EMF is no longer strong, the angle returns to the sector that the levels show.
@@ -52,9 +56,9 @@ from sim.observers.covariance import Five, Symmetric
 from sim.observers.edge_lessons import LOW_CURRENT, Four, LegsLoss, Lessons, Sums, Two
 from sim.observers.edge_scales import Scale, make_scale
 from sim.observers.hall_edges import HallEdges
-from sim.observers.hall_levels import SENSOR_OF_BIT, Belief, Levels
+from sim.observers.hall_levels import Belief, Levels
 from sim.observers.hall_places import DEG, MOST, Twelve
-from sim.observers.hall_speed import SECTOR_OF_CODE
+from sim.observers.hall_speed import SECTOR_OF_CODE, SECTOR_WIDTH
 from sim.observers.sample import Sample
 from sim.observers.transforms import clip, square, wrap
 
@@ -120,12 +124,19 @@ QUIET_BELOW = 1.0  # chosen, as `SURPRISE`: the back-EMF is quiet below one stan
 QUIET = 5e-3  # s for which it must be; chosen: several `RESIDUE_TAU`. Also the time in which a lost speed decays
 
 # Edges. Chosen unless stated otherwise.
+UNLIKELY = 2.0  # variances beyond which an edge is given up for another change of its level that fits better
 GATE = 4.0  # standard deviations beyond which an edge is far off: one in 16 000 is, of a normal distribution
-OFF_MAX = 2  # edges in a row that may be rejected: the rotor is wrong with the third
+EARLY = 2.0 * DEG  # rad by which an edge must turn the estimate forward to be doubtful, and
+EARLY_SIGMA = 2.2  # standard deviations by which it is early, with a quiet back-EMF; until the rotor has turned
+DUE = 2.0  # times that angle
+DOUBTFUL = 0.25  # of the square of its residue, more variance of an edge whose sensor was disturbed; chosen: half of it
+OVERDUE_GAP = 1.5  # times the last interval after which no edge is early
+BOUNCE = 15.0 * DEG  # rad after an edge within which it may bounce: a quarter of a sector
+STAYED = 4.0  # times the time after which its level returned: if it has stayed so long, the rotor has turned back
 CODES = 40.0 * DEG  # rad, standard deviation of an angle that says less about an edge than the levels do
 STRONG = 2.5  # [omega_v] speed from which on the back-EMF may be trusted, with
 CREDIBLE = 0.3  # [psi omega] at least that much back-EMF along the estimate
-SHARP = 8.0  # and the speed this many standard deviations from zero
+SHARP = 8.0  # and the speed this many standard deviations from zero; the rotor does not turn back then, either
 MOVED = 2.0 * DEG  # rad by which the edges of a sensor that has moved are off at least, and
 MOVED_SIGMA = 3.0  # by that many standard deviations
 OVERDUE = 19.0  # standard deviations of an edge by which the angle may pass it; tuned
@@ -149,6 +160,9 @@ LEAST_SAMPLES = 4.0  # in a revolution that anything is learned from; chosen
 SETTLED = 12  # edges in a row, one way, before either is learned; chosen: two electrical revolutions
 
 STANDSTILL = 4.0  # [1 / hall_timeout] chosen: rate at which the angle of a rotor at rest moves to the sector's middle
+USED, INSTEAD, RETURNED, HELD, REJECTED = range(5)  # what becomes of an edge: used, also in place of the last one; its
+# level is that of the sector again, so nothing; it waits for the next one; it is wrong. `Last.off` gets of it:
+OFF = (0, 0, 0, 1, 9)
 COUNT = len(edge_lessons.LESSONS)
 HOLD = 64  # samples for which a lesson is sent
 CYCLE = 17  # lessons sent until they start again, the first two twice: prime, so a stream of every n-th sample has all
@@ -219,7 +233,16 @@ class Last(NamedTuple):
     boundary: int
     at: float  # rad
     age: float  # s
-    off: int  # edges rejected since
+    gap: float  # s from the edge before it
+    residue: float  # rad, before it was used; 0: it was likely
+    turned: float  # rad by which it has turned the estimate
+    sped: float  # rad/s by which it has changed its speed
+    off: int  # bits 0-2: sensors with an edge since that was not used and has not returned; 3-5: it was rejected
+    held: int  # 1 + sensor of the last of those that were held; 0: it has returned
+    next: int  # boundary that follows on it
+    next_way: int
+    then: float  # s, `age` at its capture
+    wait: float  # s from then until it is used
 
 
 class State(NamedTuple):
@@ -280,7 +303,9 @@ class Edge(NamedTuple):
     variance: float  # rad2, of `at`
     fast: float  # 0..1, by the speed: near 1 above omega_b
     far: bool  # it lies far from the estimate
-    rejected: bool  # it is taken as wrong
+    lost: bool  # and so did the last of all sensors
+    fate: int  # `USED` …
+    wait: float  # s, as in `Last`
 
 
 def make_params(pwm_hz: float, drive: Settings) -> Params:
@@ -305,7 +330,7 @@ def make_params(pwm_hz: float, drive: Settings) -> Params:
 @kernel
 def init() -> State:
     """Nothing known: the next sample gives the first currents and the sector."""
-    return zeroed(State)._replace(levels=Levels(0, -1, 0.0, 0))
+    return zeroed(State)
 
 
 @kernel
@@ -539,11 +564,11 @@ def _trusted(scale: Scale, kalman: Filter, watch: Watch, psi: float, driven: boo
 
 @kernel
 def _edge(
-    params: Params, state: State, sensor: int, before: int, ago: float, driven: bool
+    params: Params, state: State, sensor: int, before: int, ago: float, late: float, driven: bool, held: bool
 ) -> tuple[Edge, Belief, Lessons]:
-    """An edge of `sensor`, captured `ago` seconds before the sample, and whether that sensor has moved.
+    """An edge of `sensor`, captured `ago` or `late` seconds before the sample, and whether that sensor has moved.
 
-    `before`: the levels until then.
+    `before`: the levels until then. `held`: it was held, and its level has not returned.
     """
     scale = params.scale
     kalman, last, belief, lessons = state.filter, state.last, state.belief, state.lessons
@@ -551,7 +576,11 @@ def _edge(
     psi = lessons.drop[0]
     omega = kalman.x[1]
     then = kalman.x[0] - ago * omega + 0.5 * ago * ago * kalman.x[2]
-    by_codes = last.passed == 0 or last.off > OFF_MAX or kalman.P[0] > CODES * CODES
+    strong, sharp = _trusted(scale, kalman, state.watch, psi, driven)
+    sure = sharp and state.watch.quiet > QUIET
+    all_off = (last.off | belief.sensors) & hall_levels.ALL == hall_levels.ALL
+    lost = all_off and not (sure and abs(omega) > scale.omega_b)
+    by_codes = last.passed == 0 or lost or kalman.P[0] > CODES * CODES
     boundary, way = _boundary(lessons, sensor, before, state.levels.code, then, by_codes)
     slot = hall_places.slot(boundary, way)
     at = hall_places.angle(places, boundary, way) + lessons.common[4] * omega
@@ -563,20 +592,50 @@ def _edge(
     unlike = fast + (1.0 / (1.0 + OWN_KNOWN * places.turns) if params.pairs > 0 else 0.0)
     r = places.scatter + places.variance[slot] + OWN_SPREAD * OWN_SPREAD * unlike
     S = kalman.P[0] - 2.0 * ago * kalman.P[1] + ago * ago * kalman.P[5] + r
+    z_late = wrap(z - (ago - late) * omega)
+    if z * z > UNLIKELY * S and abs(z_late) < abs(z):
+        z = z_late
+        ago = late
     far = z * z > GATE * GATE * S
-    strong, sharp = _trusted(scale, kalman, state.watch, psi, driven)
-    if strong:
+    touched = (state.levels.touched >> sensor) & 1 == 1
+    again = boundary == last.boundary and way == last.way and last.age * abs(omega) < math.pi
+    back = way * omega < 0.0 and SHARP * SHARP * kalman.P[5] < omega * omega
+    if strong and not (again or back or held or touched):
         known = last.passed >= 3 and places.visits[slot] > KNOWN_VISITS
-        side = 0
-        if known and abs(z) > MOVED and z * z > MOVED_SIGMA * MOVED_SIGMA * S:
-            side = 1 if z > 0.0 else -1
-        belief, moved = hall_levels.off_to(belief, sensor, side)
+        moves = known and MOVED < abs(z) < hall_places.FURTHEST and z * z > MOVED_SIGMA * MOVED_SIGMA * S
+        belief, moved = hall_levels.off_to(belief, sensor, z if moves else 0.0)
         if moved and params.learn != 0:
             lessons = edge_lessons.moved(lessons, sensor, -z)
             z = 0.0
             far = False
-    rejected = far and sharp and state.watch.quiet > QUIET and last.passed > 0 and last.off <= OFF_MAX
-    return Edge(boundary, way, pair, at, ago, z, r, fast, far, rejected), belief, lessons
+    fate = USED
+    since = last.age - ago
+    overdue = since > OVERDUE_GAP * last.gap and not touched
+    follows = last.held > 0 and boundary == last.next and way == last.next_way
+    early = (
+        state.watch.quiet > QUIET
+        and z * way > EARLY_SIGMA * math.sqrt(S)
+        and abs(z) * (kalman.P[0] - ago * kalman.P[1]) > EARLY * S
+    )
+    short = since * max(abs(omega), scale.omega_v) < BOUNCE
+    bounce = short and boundary == last.boundary and way == -last.way and way * omega < 0.0 and not held
+    if last.passed > 0 and not lost and (again or back or far or early or bounce):
+        if ((state.levels.code ^ hall_levels.beyond(last.boundary, last.way)) >> sensor) & 1 == 0:
+            fate = RETURNED
+            if again and abs(wrap(last.residue - since * omega)) < abs(last.residue):
+                fate = INSTEAD
+        elif sure and (back or far):
+            fate = REJECTED
+        elif bounce or (not (held or overdue or follows) and last.passed > 2 and (back or touched or z * way > 0.0)):
+            fate = HELD
+    if held or touched:
+        r += DOUBTFUL * z * z
+    wait = DUE * abs(z) / max(abs(omega), SECTOR_WIDTH / max(last.gap, scale.T_s))
+    if bounce and not back:
+        wait = STAYED * since
+    elif back or far:
+        wait = math.inf
+    return Edge(boundary, way, pair, at, ago, z, r, fast, far, lost, fate, wait), belief, lessons
 
 
 @kernel
@@ -608,7 +667,9 @@ def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
             by = -OWN_SHARE * edge.fast * edge.fast * clip(z, OWN_MOST)
             places = hall_places.taught(places, edge.pair, boundary, by, 1.0 / (6.0 * params.pairs))
     row = row + 1 if boundary == (last.boundary + way) % 6 else 0
-    belief, none = hall_levels.judged(state.belief, state.levels.code, boundary, way)
+    levels = state.levels
+    wrong = levels.code ^ hall_levels.beyond(boundary, way)
+    belief, none = hall_levels.judged(state.belief, wrong & ~levels.touched)
     passed = 0 if none else min(passed + 1, 3)
     places = places._replace(pair=edge.pair, scatter=scatter)
     sums = state.sums
@@ -617,9 +678,22 @@ def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
     else:
         lessons = edge_lessons.met(lessons, places, since)
         sums = sums._replace(off=sums.off + z - 0.5 * moved_by)
-    levels = state.levels._replace(unused=state.levels.unused - 1)
-    last = Last(passed, row, way, boundary, edge.at, ago, 0)
+    levels = levels._replace(unused=levels.unused - 1, touched=levels.touched & wrong)
+    doubtful = z if s * z * z > UNLIKELY else 0.0
+    last = Last(
+        passed, row, way, boundary, edge.at, ago, since, doubtful, s * z * g[0], s * z * g[1], 0, 0, 0, 0, 0.0, 0.0
+    )
     return state._replace(filter=kalman, last=last, levels=levels, belief=belief, lessons=lessons, sums=sums)
+
+
+@kernel
+def _used_instead(kalman: Filter, last: Last, edge: Edge) -> tuple[Filter, Last]:
+    """The filter and its last edge if a pulse was taken for that, and the boundary has been passed by now only."""
+    P = covariance.plus(kalman.P, (last.turned**2, last.sped**2, 0.0, 0.0, 0.0))
+    g = _ago(P, edge.ago)
+    s = 1.0 / (g[0] - edge.ago * g[1] + edge.variance)
+    last = last._replace(row=0, age=edge.ago, residue=edge.residue, turned=s * edge.residue * g[0], sped=0.0)
+    return kalman._replace(x=covariance.added(kalman.x, g, s * edge.residue), P=covariance.less(P, g, s)), last
 
 
 @kernel
@@ -627,7 +701,7 @@ def _from_edge(scale: Scale, kalman: Filter, psi: float, last: Last, edge: Edge,
     """The filter at an edge far from its estimate, and the residue (rad) left; `passed`: edges in a row before it."""
     x = kalman.x
     z = edge.residue
-    if last.off > OFF_MAX:
+    if edge.lost:
         omega = x[1]
         kalman = _restarted(
             scale, kalman, psi, edge.variance, RESTART_OMEGA * omega * omega + scale.omega_v**2, kalman.P[9]
@@ -679,10 +753,14 @@ def _revolution(scale: Scale, state: State, way: int) -> tuple[Lessons, Filter]:
 
 
 @kernel
-def _bounded(scale: Scale, kalman: Filter, last: Last, belief: Belief, lessons: Lessons, sharp: bool) -> Filter:
+def _bounded(
+    scale: Scale, kalman: Filter, last: Last, belief: Belief, lessons: Lessons, code: int, sharp: bool
+) -> Filter:
     """The filter between two edges: the angle does not pass one that has not come, unless the speed is `sharp`."""
     places = lessons.places
     ahead = hall_levels.following(belief, last.boundary, last.way)
+    if ((code ^ hall_levels.beyond(ahead, last.way)) >> hall_levels.OWNER[ahead]) & 1 == 0:  # it came early
+        ahead = hall_levels.following(belief, ahead, last.way)
     width = hall_places.width(places, last.boundary, ahead, last.way)
     theta, omega, alpha, b, c = kalman.x
     x = last.way * wrap(theta - last.at)
@@ -738,7 +816,7 @@ def _in_sector(scale: Scale, kalman: Filter, last: Last, lessons: Lessons, secto
         kalman = kalman._replace(x=(middle + clip(off, 0.5 * width), x[1], x[2], x[3], x[4]))
         omega = kalman.P[5] + scale.omega_v**2
         kalman = _restarted(scale, kalman, lessons.drop[0], ANGLE_START**2, omega, kalman.P[9])
-    return kalman, Last(1, 0, way, boundary, at, last.age, 0)
+    return kalman, Last(1, 0, way, boundary, at, last.age, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0.0, 0.0)
 
 
 @kernel
@@ -794,16 +872,33 @@ def _corrected(params: Params, state: State, sample: Sample, driven: bool) -> St
 
 
 @kernel
-def _settled(params: Params, state: State, sensor: int, before: int, ago: float, driven: bool) -> State:
-    """The state with P updated, after an edge of `sensor` (-1: none) from the levels `before`, `ago` seconds ago."""
+def _settled(params: Params, state: State, sensor: int, before: int, ago: float, late: float, driven: bool) -> State:
+    """The state with P updated, after an edge of `sensor` (-1: none) from the levels `before`.
+
+    It was captured `ago` seconds before the sample or, if that fits better, `late` seconds.
+    """
     scale = params.scale
     kalman, watch = _updated(params, state.filter, state.watch, state.lessons.drop[0], driven)
     state = state._replace(filter=kalman, watch=watch)
+    last = state.last
+    held = sensor < 0 and last.held > 0
+    if held:
+        ago = late = last.age - last.then
+        if ago > last.wait:
+            sensor = last.held - 1
     if sensor >= 0 and hall_levels.believed(state.belief, sensor):
-        edge, belief, lessons = _edge(params, state, sensor, before, ago, driven)
+        edge, belief, lessons = _edge(params, state, sensor, before, ago, late, driven, held)
         state = state._replace(belief=belief, lessons=lessons)
-        if edge.rejected:
-            state = state._replace(last=state.last._replace(row=0, off=state.last.off + 1))
+        if edge.fate != USED:
+            off = last.off & ~(9 << sensor) | OFF[edge.fate] << sensor
+            last = last._replace(off=off, held=0 if last.held == sensor + 1 else last.held)
+            if edge.fate == INSTEAD:
+                kalman, last = _used_instead(kalman, last, edge)
+            elif edge.fate == HELD:
+                last = last._replace(held=sensor + 1, next=(edge.boundary + edge.way) % 6, next_way=edge.way)
+                last = last._replace(then=last.age - edge.ago, wait=edge.wait)
+            levels = state.levels._replace(touched=state.levels.touched | 1 << sensor)
+            state = state._replace(filter=kalman, last=last, levels=levels)
         else:
             state = _corrected_by_edge(params, state, edge)
             if params.learn != 0 and edge.boundary == 0:
@@ -815,10 +910,10 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
     psi = lessons.drop[0]
     _, sharp = _trusted(scale, kalman, watch, psi, driven)
     sector = SECTOR_OF_CODE[state.levels.code]
-    if last.off > 0 and sector >= 0 and not sharp:
+    if last.off > hall_levels.ALL and sector >= 0 and not sharp:
         kalman, last = _in_sector(scale, kalman, last, lessons, sector)
     if last.passed > 0:
-        kalman = _bounded(scale, kalman, last, state.belief, lessons, sharp)
+        kalman = _bounded(scale, kalman, last, state.belief, lessons, state.levels.code, sharp)
     kalman = _with_gains(scale, kalman, psi, watch.i_q)
     twice = edge_lessons.twice_of(lessons, scale, kalman.x[1])
     six = edge_lessons.six_of(lessons, scale, kalman.x[1])
@@ -835,14 +930,13 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     T_s = scale.T_s
     standing = state.filter.x[0]
     before = state.levels.code
-    ago = state.levels.pending_age + T_s
     driven = sample.u_alpha != 0.0 or sample.u_beta != 0.0
     state = _corrected(params, state, sample, driven)
-    levels = hall_levels.read(state.levels, sample, T_s)
-    sensor = SENSOR_OF_BIT[before ^ levels.code]
+    speed = max(abs(state.filter.x[1]), scale.omega_v)
+    levels, sensor, ago, late = hall_levels.read(state.levels, sample, T_s, speed)
     state = state._replace(levels=levels)
     if state.filter.since >= UPDATE_EVERY or sensor >= 0:
-        state = _settled(params, state, sensor, before, ago, driven)
+        state = _settled(params, state, sensor, before, ago, late, driven)
 
     lessons, kalman, belief, levels = state.lessons, state.filter, state.belief, state.levels
     theta = wrap(kalman.x[0])
@@ -857,7 +951,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     number = (told // HOLD) % COUNT
     lesson = edge_lessons.lesson(lessons, scale, number) if told % HOLD == 0 else state.lesson
     state = state._replace(omega_lpf=omega_lpf, filter=kalman, told=told, lesson=lesson)
-    unused = levels.unused - (1 if levels.pending >= 0 else 0)
+    unused = levels.unused - (1 if levels.pending != 0 else 0)
     sigma = math.sqrt(max(kalman.P[0], 0.0))
     return state, Estimate(theta, omega_lpf, belief.sensors, unused, sigma, number, lesson[0], lesson[1])
 

@@ -1,11 +1,14 @@
 """Hall sensors by their levels: which edge it was, which sensors are believed, which have moved.
 
-A level counts once two successive samples have shown it, so a pulse shorter than a period is ignored. A sensor and its
-new level leave two boundaries, 180 deg apart. Boundary b (0..5) opens sector b if it is passed upwards.
+A level counts once two successive samples have shown it, so a pulse shorter than a period is ignored. If it has changed
+to and fro before, within `RETURN`, its edge may be the first change, before a bounce, or the last, after a pulse: the
+angle decides. A sensor and its new level leave two boundaries, 180 deg apart. Boundary b (0..5) opens sector b if it is
+passed upwards.
 
 A sensor whose level contradicts the edges of the others is not believed until it has been right for a while. Levels are
-compared at accepted edges only, where the angle is known best. A sensor has moved if `MOVED_EDGES` successive edges of
-it are off to the same side; not if all three sensors are off alike, because then the back-EMF is wrong.
+compared at accepted edges only, where the angle is known best, and only if a level has become wrong by not changing: a
+dead sensor does not change, one that is disturbed does. A sensor has moved if `MOVED_EDGES` successive edges of it are
+off by the same angle; not if all three sensors are off, because then the back-EMF is wrong.
 
 This module never estimates an angle.
 
@@ -14,6 +17,7 @@ Source: codes of Fig. 1 of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from sim.native import with_item
@@ -21,18 +25,21 @@ from sim.numba_cache import kernel
 from sim.observers.sample import Sample
 
 Three = tuple[int, int, int]
+Ages = tuple[float, float, float]
 
 CODE_OF_SECTOR = (1, 3, 2, 6, 4, 5)
-SENSOR_OF_BIT = (-1, 0, 1, -1, 2, -1, -1, -1)  # by the bits of a code that changed; -1: none, or more than one
 RISES = (5, 1, 3)  # boundary where the output of sensor a, b, c rises, passed upwards; it falls three further on
 OWNER = (2, 1, 0, 2, 1, 0)  # sensor that changes at a boundary
 ALL = 7  # bits of the three sensors that are not believed
 MOVED_BIT = 8  # bit of sensor a that it has moved
 
-# Chosen, in edges: two wrong levels are enough to doubt a sensor, and a stuck one is wrong at half of all edges.
-MOVED_EDGES = 6  # off to the same side before a sensor counts as moved: three electrical revolutions
+RETURN = math.radians(30.0)  # rad by which a bounce may delay a level; chosen: half a sector
+ALIKE = math.radians(2.0)  # rad by which edges that are off alike differ; chosen: three standard deviations and more
+
+# Chosen, in edges: a stuck sensor is wrong at half of all edges, and a pulse over a whole sector at one or two.
+MOVED_EDGES = 6  # off alike before a sensor counts as moved: three electrical revolutions
 WRONG = 4  # doubt that a wrong level adds; a right one takes 1 away
-DISBELIEF = 8  # doubt from which on a sensor is not believed, until there is none left
+DISBELIEF = 10  # doubt from which on a sensor is not believed, until there is none left
 DOUBT_MAX = 24  # largest doubt: a sensor is believed again after that many right levels
 
 
@@ -40,8 +47,11 @@ class Levels(NamedTuple):
     """What the inputs show."""
 
     code: int  # levels that two successive samples have shown
-    pending: int  # levels of the last sample if they differ from `code`; -1: they do not
-    pending_age: float  # s since they changed
+    pending: int  # bits of the sensors that differ from it in the last sample
+    recent: int  # bits of the sensors that have lately, or do
+    first: Ages  # s since these sensors did for the first time
+    late: Ages  # s since they did last
+    touched: int  # bits of the sensors that have changed without an edge being used, and not been right since
     unused: int  # edges not used so far; a pending one counts
 
 
@@ -49,22 +59,45 @@ class Belief(NamedTuple):
     """Which sensors are believed; all are, if all is zero."""
 
     doubts: Three  # by sensor
-    streaks: Three  # by sensor: successive edges that were off upwards (positive) or downwards (negative)
+    streaks: Three  # by sensor: successive edges that were off alike
+    offs: Ages  # rad by which the last edge of each was
     sensors: int  # bits 0-2: sensor a, b, c is not believed; bits 3-5: it has moved
 
 
 @kernel
-def read(levels: Levels, sample: Sample, T_s: float) -> Levels:
-    """The levels after a sample."""
+def read(levels: Levels, sample: Sample, T_s: float, speed: float) -> tuple[Levels, int, float, float]:
+    """The levels after a sample, the sensor whose level is a new one (-1: none), s since it changed first and last.
+
+    `speed`: size of the rotor's, rad/s. If several levels are new, the others follow with the next samples.
+    """
+    wrong = sample.code ^ levels.code
+    if wrong == 0 and sample.edges == 0 and levels.recent == 0:
+        return levels, -1, 0.0, 0.0
     unused = levels.unused + sample.edges
-    if sample.code == levels.pending or sample.code == levels.code:
-        return Levels(sample.code, -1, 0.0, unused)
-    age = 0.5 * T_s  # an edge that was not captured
-    if sample.edges == 0:
-        unused += 1
-    elif sample.edge_to == sample.code:
-        age = min(sample.edge_age, T_s)
-    return Levels(levels.code, sample.code, age, unused)
+    recent = levels.recent
+    firsts = levels.first
+    lates = levels.late
+    sensor = -1
+    for k in range(3):
+        bit = 1 << k
+        first = firsts[k] + T_s
+        late = lates[k] + T_s
+        if levels.pending & bit == 0:
+            late = sample.ages[k]
+            if late < 0.0 and wrong & bit != 0:  # an edge that was not captured
+                late = 0.5 * T_s
+                unused += 1
+            if recent & bit == 0 or first * speed > RETURN:
+                first = late
+                recent = recent | bit if late >= 0.0 else recent & ~bit
+        elif wrong & bit != 0 and (sensor < 0 or first > firsts[sensor]):
+            sensor = k
+        firsts = with_item(firsts, k, first)
+        lates = with_item(lates, k, late)
+    bit = 1 << sensor if sensor >= 0 else 0
+    touched = levels.touched | (recent & ~wrong)
+    levels = Levels(levels.code ^ bit, wrong & ~bit, recent & ~bit, firsts, lates, touched, unused)
+    return levels, sensor, firsts[max(sensor, 0)], lates[max(sensor, 0)]
 
 
 @kernel
@@ -90,12 +123,17 @@ def following(belief: Belief, boundary: int, way: int) -> int:
 
 
 @kernel
-def judged(belief: Belief, code: int, boundary: int, way: int) -> tuple[Belief, bool]:
-    """The belief after the levels `code` were read just beyond `boundary`.
+def beyond(boundary: int, way: int) -> int:
+    """The levels beyond `boundary`, passed upwards (`way` 1) or downwards (-1)."""
+    return CODE_OF_SECTOR[boundary if way > 0 else (boundary + 5) % 6]
+
+
+@kernel
+def judged(belief: Belief, wrong: int) -> tuple[Belief, bool]:
+    """The belief after the levels of the sensors with a bit in `wrong` contradicted an edge.
 
     If no sensor would be believed any more, the angle was wrong: all are believed again, and the second result is true.
     """
-    wrong = code ^ CODE_OF_SECTOR[boundary if way > 0 else (boundary + 5) % 6]
     doubts = belief.doubts
     sensors = belief.sensors
     for k in range(3):
@@ -113,10 +151,11 @@ def judged(belief: Belief, code: int, boundary: int, way: int) -> tuple[Belief, 
 
 
 @kernel
-def off_to(belief: Belief, sensor: int, side: int) -> tuple[Belief, bool]:
-    """The belief after an edge that was off to one side (1, -1) or not (0), and whether its sensor has moved."""
-    streak = max(belief.streaks[sensor] * side, 0) * side + side
-    streaks = with_item(belief.streaks, sensor, streak)
-    if abs(streak) < MOVED_EDGES or (streaks[0] != 0 and streaks[1] != 0 and streaks[2] != 0):
-        return belief._replace(streaks=streaks), False
+def off_to(belief: Belief, sensor: int, off: float) -> tuple[Belief, bool]:
+    """The belief after an edge that was `off` (rad) or not (0), and whether its sensor has moved."""
+    streak = belief.streaks[sensor] + 1 if abs(off - belief.offs[sensor]) < ALIKE else 1
+    streaks = with_item(belief.streaks, sensor, streak if off != 0.0 else 0)
+    belief = belief._replace(streaks=streaks, offs=with_item(belief.offs, sensor, off))
+    if streaks[sensor] < MOVED_EDGES or (streaks[0] != 0 and streaks[1] != 0 and streaks[2] != 0):
+        return belief, False
     return belief._replace(streaks=(0, 0, 0), sensors=belief.sensors | (MOVED_BIT << sensor)), True

@@ -1,8 +1,8 @@
 """What every position observer is given of one control period, and the front end that makes it from what is measured.
 
 The front end runs once, for all observers: `hall_speed` and `average_speed` on the Hall edges, Clarke's transform on
-the currents. It also passes on the last captured edge as it came, because an observer that doubts a sensor cannot work
-with sectors. It estimates nothing itself, and knows no parameter of the motor.
+the currents. It also passes on when each sensor changed, because an observer that doubts a sensor cannot work with
+sectors. It estimates nothing itself, and knows no parameter of the motor.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.native import Cells, Pointer, address, layout, native
+from sim.native import Cells, Pointer, address, layout, native, with_item
 from sim.numba_cache import kernel
 from sim.observers import average_speed, hall_speed
 from sim.observers.hall_speed import Edge
@@ -41,9 +41,7 @@ class Sample(NamedTuple):
     theta_avg: float  # electrical rad, by (1)-(2)
     code: int  # 0..7, at the sample
     edges: int  # captured in the period, glitches included
-    edge_from: int  # 0..7, code before the last of them; meaningless without an edge
-    edge_to: int  # code after it
-    edge_age: float  # s from the last of them to the sample
+    ages: tuple[float, float, float]  # s from the first of them to the sample, by sensor; negative: none
     u_alpha: float  # V
     u_beta: float
     i_alpha: float  # A
@@ -74,14 +72,13 @@ def step(
     params: Params, state: State, measured: Measured, edges: Pointer[Edge], first: int, last: int
 ) -> tuple[State, Sample]:
     """One control period with the edges [first, last): those after the last sample and up to this one, in order."""
-    edge_from = state.code
-    edge_to = state.code
-    age = 0.0
-    if last > first:
-        if last - 1 > first:
-            edge_from = edges[last - 2].code & 7
-        edge_to = edges[last - 1].code & 7
-        age = (measured.tick - edges[last - 1].tick) * params.hall.tick_period
+    ages = (-1.0, -1.0, -1.0)
+    before = state.code
+    for j in range(first, last):
+        for k in range(3):
+            if ((before ^ edges[j].code) >> k) & 1 == 1 and ages[k] < 0.0:
+                ages = with_item(ages, k, (measured.tick - edges[j].tick) * params.hall.tick_period)
+        before = edges[j].code
     code = measured.hall & 7
     front, estimate = hall_speed.step(params.hall, state.hall, measured.tick, measured.hall, edges, first, last)
     i_alpha, i_beta = clarke(measured.i_a, measured.i_b, measured.i_c)
@@ -90,9 +87,7 @@ def step(
         average_speed.position(params, estimate),
         code,
         last - first,
-        edge_from,
-        edge_to,
-        age,
+        ages,
         measured.u_alpha,
         measured.u_beta,
         i_alpha,

