@@ -1,6 +1,6 @@
 """Makes docs/edge-kalman.md: its words from docs/edge-kalman/edge-kalman.md.j2, its figures from the last benchmark.
 
-python -m tests.benchmarks edges; python docs/make_edge_kalman.py
+python -m tests.benchmarks edges disturbed; python docs/make_edge_kalman.py
 
 Beside each figure stands that of the observer which this one took the place of, from docs/edge-kalman/before.json: the
 same benchmark with `OBSERVER = "learned_edges"`, run on the commit 1575d98.
@@ -27,7 +27,8 @@ def main() -> None:
 
 def page() -> str:
     """The page from its words and the figures."""
-    rows = {row["what"]: row for row in json.loads(LAST.read_text())["edges"]["rows"]}
+    last = json.loads(LAST.read_text())
+    rows = {row["what"]: row for row in last["edges"]["rows"]}
     before = json.loads((PARTS / "before.json").read_text())
     environment = Environment(
         loader=FileSystemLoader(PARTS), undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True
@@ -36,6 +37,7 @@ def page() -> str:
     pairs = [what.removesuffix(": std") for what in rows if what.endswith(": std")]
     single = [what for what in pairs if "r/min" not in what and ", kind" not in what and ", unkind" not in what]
     return environment.get_template("edge-kalman.md.j2").render(
+        disturbed={row["what"]: row["measured"] for row in last["disturbed"]["rows"]},
         rows={what: row["measured"] for what, row in rows.items()},
         goals={what: row.get("goal") for what, row in rows.items()},
         missed=[what for what, row in rows.items() if missed(row)],

@@ -17,6 +17,7 @@ from tests.benchmarks.table import Row
 PARTS = {
     "accuracy": "Accuracy: plant against solve_ivp, position errors against the plant",
     "edges": "Kalman filter on Hall edges: position errors on benches unlike the one it was designed on",
+    "disturbed": "Kalman filter on Hall edges: pulses, bounces and dead sensors",
     "dead_time": "Dead time learned at run time: each observer without and with it",
     "fixed_point": "Fixed point: 16 bits beside floating point, same telemetry",
     "decode": "Decode: bytes to numpy columns, CRC checked, one core",
