@@ -2,10 +2,10 @@
 
 python docs/make_hall_faults.py [--quick] [--only FAULT] [--case NAME] [--healthy N] [--live] [--wrong N]
 
-Without options: all faults, sizes, motors and speeds, 5 seeds each, and the page is written. --quick: one seed; --only:
-faults with this in their name; --case: one case, with all that was said; --healthy: N drives that nothing is wrong
-with instead; --live: before the judge of `bench live`, piece by piece; --wrong: how many of each fault's wrong verdicts
-are shown. Only a whole run, without options, writes the page.
+Without options: all faults, sizes, motors and speeds, 5 seeds each, and the page is written. --quick: one seed each;
+--only: faults with this in their name; --case: one case, with all that was said; --healthy: N drives that nothing is
+wrong with instead; --live: before the judge of `bench live`, piece by piece; --wrong: how many wrong verdicts of each
+fault and size are shown. Only a whole run, without options, writes the page.
 """
 
 from __future__ import annotations
@@ -96,10 +96,14 @@ def page(results: Sequence[Result]) -> str:
         "Made by `python docs/make_hall_faults.py`, of recordings by formula (`tests/bench/hall_cases/`).",
         "",
         "Each fault, in several sizes, is tried on three motors (six pole pairs with ideal sensors; any with sensors "
-        "as real ones are, anywhere on the shaft; four or eight pole pairs with sensors at 30 mod 60 deg), turned at "
-        "up to 24 and up to 120 electrical revolutions a second both ways, with an encoder and without. A seed draws "
-        "all else: which sensor, when, whether voltages were recorded, whether the drive knows where its ring sits. "
+        "as real ones are, anywhere on the shaft; four or eight pole pairs with sensors at 30 mod 60 deg), turned both "
+        "ways at up to 24 and up to 120 electrical revolutions a second (of five seeds three as `bench hall check` "
+        "does it, one run up and let go, one by hand), with an encoder and without. A seed draws all else: which "
+        "sensor, when, whether voltages were recorded, whether the drive knows where its ring sits. "
         "Angles are electrical.",
+        "",
+        "Each cell has per cent of: right, cannot tell, missed, wrong; a dot is none. Where a fault is smaller than "
+        "it needs be to be named, or the recording cannot show it, saying that nothing is wrong is right too.",
         "",
         f"{summary(results)}",
         "",
@@ -115,7 +119,6 @@ def page(results: Sequence[Result]) -> str:
             about = about if size == fault.sizes[0] else ""
             shown = f"{size:g} {fault.unit}".rstrip() if len(fault.sizes) > 1 else ""
             rows.append(f"| {about} | {shown} | {' | '.join(cells)} |")
-    rows += ["", "Each cell: right, cannot tell, missed, wrong, in per cent; a dot is none."]
     return "\n".join(rows) + "\n"
 
 
@@ -191,7 +194,7 @@ def main() -> None:
         if asked.healthy:
             results = pool.map(try_healthy, [(seed, asked.live) for seed in range(asked.healthy)], 4)
         else:
-            chosen = cases(1 if asked.quick else 5, asked.only)
+            chosen = cases(asked.only, asked.quick)
             results = pool.map(try_case, [(case, asked.live) for case in chosen], 8)
     shown: Counter[str] = Counter()
     for result in results:

@@ -88,6 +88,8 @@ def healthy(seed: int) -> Recording:
     way = Way(way.knots, way.powered, way.by_hand, ripple=ripple)
     recording = around(rng, motor, way, encoder=bool(rng.uniform() < 0.6))
     recording = recording.but(sensors=drawn(rng, motor.n_p, recording.omega))
+    if recording.encoder and rng.uniform() < 0.1:
+        recording = recording.encoding(indexed=False)
     if rng.uniform() < 0.2:
         recording = recording.but(resolution=float(rng.choice([1 / 5000, 1 / 16000, 1 / 30000])))
     return telling_ring(recording) if rng.uniform() < 0.4 else recording
