@@ -1,15 +1,33 @@
-"""The encoder that all is measured by: its zero and its direction, where the back-EMF tells them."""
+"""The encoder that all is measured by: its zero, its direction, its lines, and whether it stays with the shaft.
+
+Net sectors tell how far the shaft turned, whatever bounces. What moves all edges together is the encoder's doing: a
+jump at a moment is a coupling or a disc that slipped, or an index pulse that came; a drift is counts that get lost.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from bench.findings.finding import Finding, degrees, percent
-from bench.findings.thresholds import DISPLACED, ZERO
-from bench.signal.reference import BackEmf
+from bench.findings.thresholds import BACKWARDS, DISPLACED, NO_HYSTERESIS, SET, SLIPPED, SURE, WHOLE, ZERO
+from bench.signal.edge_fit import MOST_STEPS, EdgeFit, Step
+from bench.signal.hall_edges import Measured
+from bench.signal.hall_inputs import ALIKE, STOPPED
+from bench.signal.position import wrap
+from bench.signal.reference import BackEmf, Turns
 
 TELL = "record u_alpha, u_beta, i_a and i_b while the drive turns the motor: its back-EMF shows which"
+BY_HAND = (
+    "turn the shaft by one revolution by hand: theta_enc then passes n_p electrical revolutions, if its lines are right"
+)
+SLIPS = "look for a slipping coupling, a loose disc, and lost counts"
+UNSTEADY = 0.03
+"""Of the ratio of encoder to sectors, by which it scatters where they do not turn together."""
+NEAR_ONE = 0.004
+"""Of that ratio, that a drift may come to: more is lines, or pole pairs."""
 
 
 def zero(emf: BackEmf | None) -> Iterator[Finding]:
@@ -36,7 +54,6 @@ def zero(emf: BackEmf | None) -> Iterator[Finding]:
             (f"theta_enc is {degrees(off)} ahead of the rotor flux", *evidence),
             "align the encoder's zero with the rotor flux: edge angles are measured from it",
         )
-        return
 
 
 def ahead(emf: BackEmf | None) -> float:
@@ -49,3 +66,140 @@ def ahead(emf: BackEmf | None) -> float:
         return 0.0
     within = DISPLACED if math.isnan(emf.spread) else 2.0 * emf.spread
     return emf.zero if abs(emf.zero) > within else 0.0
+
+
+def lines(measured: Measured, turns: Turns) -> Iterator[Finding]:
+    """Encoder and sectors that do not turn alike: pole pairs, lines, or an encoder that slips all the time."""
+    per_hall, scatter, n_p = measured.inputs.ratio, measured.inputs.scatter, turns.n_p
+    if math.isnan(per_hall):
+        return
+    counted = (
+        f"{turns.by_hall:.1f} electrical revolutions by the sectors, {turns.total:.1f} by the encoder: "
+        f"{abs(per_hall):.3f} for each"
+    )
+    if abs(per_hall) < STOPPED:
+        yield Finding("encoder_slips", "the encoder does not turn with the shaft", (counted,), SLIPS)
+        return
+    fit = measured.fit
+    like = abs(abs(per_hall) - 1.0) < ALIKE  # pulses scatter it, too: there the edges tell
+    steady = (like or scatter < UNSTEADY) and fit is not None and fit.aside < 0.3 * (fit.passages + fit.aside)
+    precise = abs(per_hall)
+    if fit is not None and steady:
+        precise = _scale(per_hall) / (1.0 - fit.common.drift / math.tau)
+    if steady and abs(precise - 1.0) < NEAR_ONE and len(fit.common.steps if fit is not None else ()) <= MOST_STEPS:
+        return
+    if not steady or abs(precise - 1.0) < NEAR_ONE:
+        yield Finding(
+            "encoder_slips",
+            "the encoder does not follow the shaft: it goes ahead and falls back again and again",
+            (counted, f"from revolution to revolution that scatters by {percent(scatter)}"),
+            SLIPS,
+        )
+        return
+    factor = 1.0 / precise
+    words = f"the encoder has {factor:.3g} times the lines that the drive takes it to have"
+    if factor < 1.0:
+        words = f"the encoder has 1/{precise:.3g} of the lines that the drive takes it to have"
+    if n_p is None:
+        yield Finding("pole_pairs", f"n_p is wrong, or {words}", (counted,), BY_HAND)
+        return
+    fits = n_p * factor
+    repeats = f"the ratio is steady to {percent(scatter)}, and edges repeat with it"
+    if abs(fits - round(fits)) < WHOLE * max(1.0, fits / 10.0) and round(fits) >= 1:
+        yield Finding(
+            "pole_pairs",
+            f"wrong number of pole pairs: {n_p} in the drive, {round(fits)} would fit; or {words}",
+            (counted, f"{n_p} x {factor:.3f} = {fits:.2f} pole pairs; {repeats}"),
+            f"{BY_HAND}; else set n_p to {round(fits)}",
+        )
+        return
+    yield Finding(
+        "encoder_slips",
+        f"{words}: no number of pole pairs fits, or it is geared, or loses counts all the time",
+        (counted, f"{n_p} x {factor:.3f} = {fits:.2f} pole pairs, which no motor has; {repeats}"),
+        f"{BY_HAND}; {SLIPS}",
+    )
+
+
+def _scale(per_hall: float) -> float:
+    """What the angle was divided by before edges were fitted."""
+    return 1.0 if abs(abs(per_hall) - 1.0) < ALIKE else abs(per_hall)
+
+
+def index_came(measured: Measured, turns: Turns, declared: float | None, emf: BackEmf | None) -> Step | None:
+    """The one jump within the first turn of the shaft, which an index pulse makes; None where there is none.
+
+    Nor is it one where the angle was right before it: by the back-EMF `emf` after it, or by the ring, which the drive
+    takes to stand at `declared`.
+    """
+    fit, net = measured.fit, measured.inputs.net
+    if fit is None or len(fit.common.steps) != 1 or turns.n_p is None:
+        return None
+    [step] = fit.common.steps
+    before = net.sectors[net.tick <= step.tick]
+    if len(before) and float(before.max() - before.min()) / 6.0 > turns.n_p + 1:
+        return None
+    if emf is not None and not emf.reversed:
+        after, within = emf.zero, ZERO
+    elif declared is not None:
+        after, within = measured.ring - declared, SET
+    else:
+        return step
+    off, was = (abs(float(wrap(np.array([angle]))[0])) for angle in (after, after - step.size))
+    return step if off <= max(was, within) else None
+
+
+def slipped(measured: Measured, index: Step | None, tick_hz: float, resolution: float) -> Iterator[Finding]:
+    """Jumps of all edges together, and counts that get lost; `resolution`: rad rms to which an edge is known."""
+    fit = measured.fit
+    if fit is None:
+        return
+    for step in fit.common.steps:
+        if step is index or abs(step.size) < max(SLIPPED, resolution):
+            continue
+        yield Finding(
+            "encoder_slipped",
+            f"the encoder slipped by {degrees(step.size)} (electrical) at {step.tick / tick_hz:.2f} s",
+            (
+                f"all edges are off by that from then on; otherwise a revolution's edges agree to "
+                f"{degrees(fit.common.scatter, 2)}",
+            ),
+            "look for a loose disc or coupling, or counts lost at that moment; the Hall sensors did not move",
+        )
+    if fit.common.drifted > max(SLIPPED, resolution):
+        yield Finding(
+            "encoder_drifts",
+            f"the encoder drifts from the sectors by {degrees(fit.common.drift, 2)} a revolution (electrical)",
+            (f"{degrees(fit.common.drifted)} between the farthest places; all edges move alike",),
+            "look for counts that get lost (cable, supply, speed limit of the counter) and for a wrong number of lines",
+        )
+    yield from _between(measured, fit)
+
+
+def _between(measured: Measured, fit: EdgeFit) -> Iterator[Finding]:
+    """All edges apart by the direction: no sensor's hysteresis is so large, or below zero."""
+    both, sure = float(fit.hysteresis.mean()), SURE * float(fit.hysteresis_sd.max())
+    if not (both < BACKWARDS - sure or both > NO_HYSTERESIS + sure):
+        return
+    timed, late = not math.isnan(measured.delay), 1e6 * abs(both) / (2.0 * fit.speed)
+    slip = f"the encoder slipped by {degrees(both)} (electrical) between the two directions"
+    why = "no sensor has a hysteresis below zero" if both < 0.0 else "sensors that are well have 0.2 to 2 deg"
+    code, cause = "encoder_slipped", slip
+    if not timed:
+        code = "encoder_late" if both < 0.0 else "late_edges"
+        cause = f"edges come {late:.0f} us {'late' if both > 0.0 else 'before the encoder'}, or {slip}"
+    yield Finding(
+        code,
+        cause,
+        (f"passed forward, all edges lie {degrees(both)} later than in reverse: {why}",),
+        "turn the shaft forward, in reverse and forward again, at two speeds: that tells which",
+    )
+
+
+def index_note(index: Step, tick_hz: float) -> Finding:
+    """A jump within the first turn of the shaft is what an index pulse does: a note, no fault."""
+    return Finding(
+        "index",
+        f"theta_enc jumped by {degrees(index.size)} at {index.tick / tick_hz:.2f} s, in the first turn of the shaft: "
+        "the index pulse came (or the encoder slipped); what was before is measured by what came after",
+    )

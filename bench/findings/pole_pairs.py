@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.findings.finding import Finding
-from bench.findings.thresholds import COMPARED_TURNS, MULTIPLE, OTHER, POLE_PAIR_OFF, RATIO_OFF, ROUNDS, SAME
+from bench.findings.thresholds import COMPARED_TURNS, POLE_PAIR_OFF, RATIO_OFF, ROUNDS
 from bench.signal.position import wrap
-from bench.signal.reference import Turns, repeats
-from bench.signal.trace import Edges
 from bench.signal.waveforms.sectors import SECTOR_WIDTH
 from protocol.streams import EdgeChunk, SampleChunk
 
@@ -123,44 +121,3 @@ class ComparedTurns:
             (f"the encoder counts {turned:.1f} electrical revolutions, the Hall sensors {hall:.1f} in that direction",),
             "check the Hall sensors: that tells pole pairs from an encoder that slips",
         )
-
-
-def of_edges(edges: Edges, turns: Turns) -> Iterator[Finding]:
-    """Edges that do not repeat with the encoder's angle."""
-    n_p = turns.n_p
-    if n_p is None or not math.isfinite(turns.ratio):
-        return
-    as_assumed = repeats(edges, 1.0)
-    if as_assumed >= SAME and turns.ratio > MULTIPLE:
-        return
-    measured = n_p * turns.ratio
-    near = range(max(1, math.floor(0.9 * measured - 1.0)), math.ceil(1.1 * measured + 1.0) + 1)
-    fits = {n: repeats(edges, n / n_p) for n in near}
-    best = max(fits, key=fits.__getitem__)
-    counted = (
-        f"{turns.by_hall:.1f} electrical revolutions by the Hall inputs, {turns.total:.1f} by the encoder with "
-        f"n_p = {n_p}: "
-        f"{n_p} x {turns.ratio:.3f} = {measured:.2f} pole pairs"
-    )
-    if best != n_p and fits[best] >= OTHER:
-        yield Finding(
-            "pole_pairs",
-            f"wrong number of pole pairs: {n_p} in the drive, {best} would fit",
-            (
-                counted,
-                f"edges repeat to {_scatter(fits[best])} with {best} pole pairs, to {_scatter(as_assumed)} with {n_p}",
-            ),
-            f"set the drive's parameter n_p to {best}, then check again: edges and wiring can only be checked then",
-        )
-        return
-    yield Finding(
-        "encoder_slips",
-        "the encoder does not follow the shaft: no number of pole pairs makes the edges repeat",
-        (counted, f"edges repeat to {_scatter(fits[best])} at best, with {best} pole pairs"),
-        "look for a slipping coupling, lost counts or a wrong line count",
-    )
-
-
-def _scatter(length: float) -> str:
-    """Scatter of angles whose mean unit vector is so long: Mardia and Jupp, Directional Statistics, 2000, (2.3.11)."""
-    return f"{math.degrees(math.sqrt(max(0.0, -2.0 * math.log(max(length, 1e-12))))):.1f} deg"

@@ -11,24 +11,27 @@ Nothing here talks to a drive or prints.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.findings import encoder, late, pole_pairs, sensors, wiring
+from bench.findings import edges, encoder, late, sensors, wiring
 from bench.findings.finding import Finding
 from bench.findings.sensors import Codes
-from bench.findings.thresholds import LEAST_PASSAGES, LEAST_TURNS
-from bench.findings.wiring import AS_SPECIFIED, Diagnosis, diagnose
+from bench.findings.thresholds import LEAST_PASSAGES, LEAST_REACH, LEAST_TURNS
+from bench.findings.wiring import Diagnosis, diagnose
 from bench.rig.outcome import RunOutcome
 from bench.signal import hall_edges, pulses, reference
 from bench.signal.delays import AGREE, Delays, delays_of
 from bench.signal.hall_edges import Measured
+from bench.signal.hall_inputs import Inputs
 from bench.signal.pulses import Pulses
 from bench.signal.reference import BackEmf, Turns
 from bench.signal.trace import SLOW, Trace
 from bench.signal.verdict import Verdict
 from bench.signal.waveforms.sectors import steps_between
+
+UNKNOWN = Delays(math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class Health:
     findings: tuple[Finding, ...]
     missing: tuple[str, ...]
     """Why no more can be said, and what to do about it."""
+    notes: tuple[Finding, ...]
+    """What is no fault, and should be known."""
     turns: Turns
     measured: Measured
     pulses: Pulses
@@ -56,54 +61,110 @@ class Health:
 
 def examine(trace: Trace, further: str = "") -> Health:
     """Name what is wrong. `further`: how to turn the shaft more if it turned too little, in words."""
-    turns, measured, found_pulses = reference.turns(trace), hall_edges.measure(trace.edges), pulses.count(trace)
-    codes = _codes(trace)
-    findings: list[Finding] = []
+    measured = hall_edges.measure(trace)
+    inputs = measured.inputs
+    turns, found_pulses, codes = reference.turns(trace, inputs), pulses.count(trace, inputs), _codes(trace, inputs)
+    health = Health(Verdict.INVALID, (), (), (), turns, measured, found_pulses, codes, None, UNKNOWN, None)
     missing: list[str] = []
-    emf: BackEmf | None = None
-    delays = Delays(measured.delay if measured.delay_half_width < AGREE else math.nan, math.nan)
-    diagnosis: Diagnosis | None = None
-    if not turns.total >= LEAST_TURNS:
+    covered = max(inputs.reach, _reach(trace))
+    if not turns.total >= LEAST_TURNS or covered < LEAST_REACH:
         missing.append(
-            f"only {np.nan_to_num(turns.total):.1f} electrical revolutions: turn the shaft forward and reverse"
+            f"only {np.nan_to_num(turns.total):.1f} electrical revolutions"
+            + (f", to and fro over {covered:.1f}" if turns.total >= LEAST_TURNS else "")
+            + ": turn the shaft forward and reverse"
             + (f", {further}" if further else "")
         )
-    elif dead := list(sensors.dead(trace, turns)):
-        findings += dead
-    elif not trace.encoder:
-        findings += wiring.inverted_by_codes(trace.changed)
-        missing.append(
-            "no encoder was recorded: without one, exchanged wires and displaced sensors are not detected; "
-            "record theta_enc, or fit an encoder for the check"
-        )
-    elif contradicting := list(pole_pairs.of_edges(trace.edges, turns)):
-        findings += contradicting
+        findings: list[Finding] = []
     else:
-        emf = reference.back_emf(trace)
-        delays = delays._replace(back_emf=delays_of(trace).back_emf)
-        findings += [*encoder.zero(emf), *late.late(delays, _fastest(trace))]
-        # that of the rotor flux, where the back-EMF says that the encoder's is another
-        some = trace.some
-        theta = emf.zero - some.theta if emf is not None and emf.reversed else some.theta - encoder.ahead(emf)
-        moving = np.abs(some.omega) >= SLOW
-        try:
-            diagnosis = diagnose(theta[moving], some.hall[moving])
-        except ValueError as error:
-            missing.append(f"wiring unknown: {error}")
-        else:
-            as_specified, forwards = diagnosis.best == AS_SPECIFIED, emf is None or not emf.reversed
-            found: list[Finding] = []
-            if forwards and (as_specified or sensors.in_their_sectors(measured, emf)):
-                found = [*sensors.places(measured, emf), *sensors.implausible(codes, found_pulses)]
-            if not as_specified and not found:
-                found = list(wiring.wires(trace, theta, diagnosis, measured, emf))
-            findings += found
-        missing += _thin(turns, measured)
-    findings += sensors.false_pulses(found_pulses)
+        broken = [*sensors.dead(trace, inputs, covered)] or [*sensors.contacts(trace, inputs, codes)]
+        findings = [
+            *broken,
+            *sensors.bounces(inputs, found_pulses, broken),
+            *sensors.false_pulses(found_pulses, broken),
+        ]
+        if not broken:
+            by_encoder = trace.encoder and not math.isnan(inputs.ratio)
+            health = (_by_encoder if by_encoder else _blind)(trace, health, steady=not findings)
+    findings += health.findings
+    missing += health.missing
     verdict = Verdict.FAIL if findings else Verdict.INVALID if missing else Verdict.PASS
-    return Health(
-        verdict, tuple(findings), tuple(missing), turns, measured, found_pulses, codes, emf, delays, diagnosis
+    return replace(health, verdict=verdict, findings=tuple(findings), missing=tuple(missing))
+
+
+def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
+    """What edges, encoder and back-EMF tell of each other; `steady`: whether no input disturbs the edges."""
+    measured, turns, fit = health.measured, health.turns, health.measured.fit
+    if contradicting := list(encoder.lines(measured, turns)):
+        return replace(health, findings=tuple(contradicting))
+    since = max((step.tick for step in fit.common.steps), default=0) if fit is not None else 0
+    emf, declared = reference.back_emf(trace, since), trace.parameters.get("hall_offset")
+    index = encoder.index_came(measured, turns, declared, emf)
+    jumped = list(encoder.slipped(measured, index, trace.tick_hz, resolution(trace, measured)))
+    delays = Delays(measured.delay if measured.delay_half_width < AGREE else math.nan, delays_of(trace, since).back_emf)
+    findings: list[Finding] = [*jumped, *(() if jumped else encoder.zero(emf))]
+    notes: list[Finding] = []
+    if index is not None:
+        notes.append(encoder.index_note(index, trace.tick_hz))
+    possible = wiring.possible(measured, emf)
+    if not jumped:
+        findings += late.late(delays, _fastest(trace))
+    reversed_too = any(finding.code == "encoder_reversed" for finding in findings)
+    wired = [] if jumped else list(wiring.order(possible, declared, emf is not None))
+    findings += [finding for finding in wired if not (reversed_too and finding.code == "encoder_reversed")]
+    findings += [*edges.places(measured), *(() if jumped else edges.magnets(measured))]
+    if steady and not any(finding.code == "encoder_late" for finding in findings):
+        findings += edges.late_edges(measured, time_step(trace))
+    if not findings and steady:
+        findings += edges.unsteady(measured, resolution(trace, measured))
+    notes += [*wiring.ring(possible, emf is not None), *edges.delays(measured)]
+    return replace(
+        health, findings=tuple(findings), missing=tuple(_thin(turns, measured)), notes=tuple(notes), emf=emf,
+        delays=delays, wiring=_explained(trace, measured, since),
+    )  # fmt: skip
+
+
+def _blind(trace: Trace, health: Health, steady: bool) -> Health:
+    """What the edges tell of each other, without an encoder; `steady`: as before."""
+    measured = health.measured
+    findings = list(wiring.missing_codes(measured))
+    if steady and edges.enough(measured):
+        findings += [*edges.places(measured), *edges.late_edges(measured, time_step(trace))]
+        findings += [] if findings else edges.unsteady(measured, resolution(trace, measured))
+    missing = (
+        "no encoder was recorded: without one, exchanged wires and the angle of the ring are not known; the sensors "
+        "were judged against each other; record theta_enc, or fit an encoder for the check",
     )
+    return replace(health, findings=tuple(findings), missing=missing, notes=tuple(edges.delays(measured)))
+
+
+def _explained(trace: Trace, measured: Measured, since: int) -> Diagnosis | None:
+    """How much of the samples the wiring explains, with the ring where it was found; None where that is not known."""
+    some = trace.some
+    use = (np.abs(some.omega) >= SLOW) & (some.tick >= since)
+    if math.isnan(measured.ring) or measured.inputs.inverted or measured.inputs.ratio < 0.0:
+        return None
+    try:
+        return diagnose(some.theta[use] - measured.ring, some.hall[use])
+    except ValueError:
+        return None
+
+
+def _reach(trace: Trace) -> float:
+    """Electrical revolutions between the farthest places that the encoder was at, as the sectors count them."""
+    theta = trace.some.theta[np.isfinite(trace.some.theta)]
+    return float(np.ptp(theta)) / math.tau if len(theta) else 0.0
+
+
+def resolution(trace: Trace, measured: Measured) -> float:
+    """rad rms to which an edge is known at the mean speed: by the steps of the times, and of the encoder's angle."""
+    speed = 0.0 if measured.fit is None else measured.fit.speed
+    return math.hypot(time_step(trace) * speed, trace.count) / math.sqrt(12.0)
+
+
+def time_step(trace: Trace) -> float:
+    """s between the times that edges can have: one tick, or the period at which a drive looks at its inputs."""
+    ticks = np.diff(trace.edges.tick)
+    return float(np.gcd.reduce(ticks)) / trace.tick_hz if len(ticks) else 0.0
 
 
 def _fastest(trace: Trace) -> float:
@@ -112,12 +173,13 @@ def _fastest(trace: Trace) -> float:
     return parameters.get("n_p", math.inf) * parameters.get("omega_m_max", math.inf)
 
 
-def _codes(trace: Trace) -> Codes:
+def _codes(trace: Trace, inputs: Inputs) -> Codes:
     illegal = np.zeros((8, 8), bool)
-    illegal[[0, 7]] = illegal[:, [0, 7]] = True
-    far = np.abs(steps_between(*np.indices((8, 8)))) != 1.0
+    none = [inputs.inverted, 7 ^ inputs.inverted]
+    illegal[none] = illegal[:, none] = True
+    far = np.abs(steps_between(*(np.indices((8, 8)) ^ inputs.inverted))) != 1.0
     lead_there, skipped, edges = (int(trace.changed[which].sum()) for which in (illegal, ~illegal & far, ...))
-    return Codes(int(trace.codes[[0, 7]].sum()), trace.samples, lead_there, skipped, edges)
+    return Codes(int(trace.codes[none].sum()), trace.samples, lead_there, skipped, edges)
 
 
 def _thin(turns: Turns, measured: Measured) -> list[str]:

@@ -108,6 +108,8 @@ def verdict_lines(health: Health, remarks: Sequence[str]) -> list[str]:
         for evidence in finding.evidence:
             lines += _wrapped("  because ", evidence)
         lines += _wrapped("  action: ", finding.advice)
+    for note in health.notes:
+        lines += _wrapped("note: ", note.cause)
     for missing in health.missing:
         lines += _wrapped("inconclusive: ", missing)
     if health.wiring is not None and not health.findings:
@@ -128,6 +130,7 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
         "exit_code": health.exit_code,
         "findings": [asdict(finding) for finding in health.findings],
         "missing": list(health.missing),
+        "notes": [asdict(note) for note in health.notes],
         "turned": turned.how,
         "remarks": list(turned.remarks),
         "seconds": trace.seconds,

@@ -46,7 +46,11 @@ class Plausibility:
         self._sectors = 0.0  # since the last chunk of samples
         self.speed, self._currents = SpeedHeld(self._by, self._n_p or 1, i_max), Currents(i_max)
         self._not_finite = NotFinite()
-        self._turns, self._wires, self._flux = ComparedTurns(self._rate, self._n_p), Wires(), FluxLinkage(parameters)
+        self._turns, self._wires, self._flux = (
+            ComparedTurns(self._rate, self._n_p),
+            Wires(parameters.get("hall_offset")),
+            FluxLinkage(parameters),
+        )
 
     # -- sink ---------------------------------------------------------------------------------------------------
 

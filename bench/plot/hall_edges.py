@@ -25,10 +25,9 @@ from bench.signal.waveforms.sectors import NUMERALS
 def edges_of(run: Run, first: int, last: int) -> Measured | None:
     """What was measured of the ticks `first` to `last`; None without a single edge of a shaft that turns."""
     wanted = ("hall", reference_angle(run.config(SAMPLES).channels))
-    edges = trace_of(
-        captures(run, first, last, wanted), *(run.rows(name, first, last) for name in (SAMPLES, EDGES))
-    ).edges
-    return measure(edges) if np.isfinite(edges.theta).any() else None
+    found = trace_of(captures(run, first, last, wanted), *(run.rows(name, first, last) for name in (SAMPLES, EDGES)))
+    measured = measure(found)
+    return None if measured.blind or measured.fit is None else measured
 
 
 def as_json(of: Measured) -> dict[str, Any]:

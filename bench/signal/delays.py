@@ -54,11 +54,11 @@ def delays(capture: Capture) -> Delays:
     return delays_of(trace)
 
 
-def delays_of(trace: Trace) -> Delays:
-    """Measure them."""
+def delays_of(trace: Trace, since: int = 0) -> Delays:
+    """Measure them, that of the back-EMF from the tick `since` on."""
     if trace.samples < LEAST or not trace.encoder:
         return Delays(math.nan, math.nan)
-    return Delays(_by_edges(trace.edges), _by_back_emf(trace))
+    return Delays(_by_edges(trace.edges), _by_back_emf(trace, since))
 
 
 def _by_edges(edges: Edges) -> float:
@@ -77,9 +77,9 @@ def _by_edges(edges: Edges) -> float:
     return delay if 2.0 * error < AGREE else math.nan
 
 
-def _by_back_emf(trace: Trace) -> float:
+def _by_back_emf(trace: Trace, since: int) -> float:
     some = trace.some
-    use = some.settled & (np.abs(some.omega) > SLOW)
+    use = some.settled & (np.abs(some.omega) > SLOW) & (some.tick >= since)
     still = trace.back_emf(use)
     if still is None:
         return math.nan

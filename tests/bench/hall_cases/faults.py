@@ -512,7 +512,9 @@ def setting_of_wires(rng: np.random.Generator, on: Recording, size: float) -> Ma
     ]
     unseen = size == 1.0 and not on.encoder
     further = () if _emf(on) else ("encoder_reversed",)
-    made = on.but(parameters=on.parameters | {name: float(value)})
+    order = {1: (1, 0, 2), 2: (0, 2, 1), 3: (2, 1, 0)}[value] if size == 1.0 else (0, 1, 2)
+    wires = Wires(order, 0 if size == 1.0 else value)  # codes are told as the drive corrects them
+    made = on.but(wires=wires, parameters=on.parameters | {name: float(value)})
     return made, is_("hall_setting", "wiring", *further, unseen=unseen)
 
 
@@ -725,11 +727,11 @@ def coasting(rng: np.random.Generator, on: Recording, size: float) -> Made:
 
 @_fault("nothing: one input inverted (1) or sensors 60 deg apart (2), and the drive knows it", (1.0, 2.0))
 def settings_right(rng: np.random.Generator, on: Recording, size: float) -> Made:
-    if size == 2.0:  # at -60, -120 and -180 deg: turned round, b is at 60, and all are as in SPEC 12
-        return on.sensing(spacing=-60.0).but(parameters=on.parameters | {"hall_invert_hat": 2.0}), is_()
-    number = int(rng.integers(3))
-    on = on.but(wires=Wires(inverted=1 << number), parameters=on.parameters | {"hall_invert_hat": float(1 << number)})
-    return on, is_()
+    """What the drive corrects does not show: codes are told as it corrects them."""
+    name, value = (("hall_invert_hat", 1 << int(rng.integers(3))), ("hall_swap_hat", int(rng.integers(1, 6))))[
+        int(size) - 1
+    ]
+    return on.but(parameters=on.parameters | {name: float(value)}), is_()
 
 
 __all__ = ["FAULTS", "Case", "Expected", "Fault", "Three", "Way", "base", "by_name", "cases"]
