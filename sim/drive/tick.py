@@ -92,7 +92,7 @@ class World(NamedTuple):
     beyond: coupling.State  # the load's side of the shaft
     alpha_m: float  # acceleration that the load machine forces, rad/s2
     hall: hall_sensor.State
-    seen: hall_input.Seen
+    due: int  # tick of the next thing that happens to an input, but for the sensors' edges and the wires' pulses
     wiring: hall_wiring.State
 
 
@@ -185,7 +185,7 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
     wiring = hall_wiring.init(params.wiring, hall_sensor.code(hall.number))
     plant = integrator.init(params.plant, theta_e)
     link = dc_link.init(params.link)
-    world = World(rng, plant, Electric(0.0, 0.0, 0.0), link, coupling.init(), 0.0, hall, hall_input.nothing(), wiring)
+    world = World(rng, plant, Electric(0.0, 0.0, 0.0), link, coupling.init(), 0.0, hall, NEVER, wiring)
     count = encoder.count(params.encoder, theta_e, 0.0)
     index = encoder.booted(params.encoder, count, params.index_search)
     tracker = encoder.init(encoder.counted(params.encoder, index, count))
@@ -193,10 +193,12 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
 
 
 @kernel
-def _pins(params: Params, hall: hall_sensor.State, seen: hall_input.Seen, wiring: hall_wiring.State) -> int:
+def _pins(params: Params, hall: hall_sensor.State, inputs: Pointer[hall_input.State], wiring: hall_wiring.State) -> int:
     """The code that the firmware's inputs read."""
-    code = seen.code if params.input.on == 1 else hall_sensor.code(hall.number)
-    return hall_wiring.pins(params.wiring, code, seen.open, wiring.pulse ^ seen.pulse)
+    if params.input.on == 0:
+        return hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), 0, wiring.pulse)
+    seen = inputs[0]
+    return hall_wiring.pins(params.wiring, seen.code, seen.open, wiring.pulse ^ seen.pulse)
 
 
 @kernel
@@ -245,7 +247,7 @@ def _edges(
     `tick`: of the sample at the period's end; `offset`: ticks from there back to `before`; `m`: edges so far, of
     at most `room`.
     """
-    rng, hall, seen, wiring = world.rng, world.hall, world.seen, world.wiring
+    rng, hall, happens, wiring = world.rng, world.hall, world.due, world.wiring
     omega_0 = params.plant.motor.n_p * before.omega_m
     omega_1 = params.plant.motor.n_p * after.omega_m
     theta_0 = hall_sensor.seen(params.hall, before.theta_e, omega_0)
@@ -266,7 +268,7 @@ def _edges(
             x = hall_sensor.time_of(theta_0, omega_0, theta_1, omega_1, params.h, theta)
             late = math.floor(x * step_ticks - offset) + 1
         captured = tick + min(late, 0)
-        due = min(wiring.due, seen.due)
+        due = min(wiring.due, happens)
         if due <= captured:  # a false pulse begins or ends before, or something else happens to an input
             x = (due - tick + offset) / step_ticks
             theta = before.theta_e + x * (after.theta_e - before.theta_e)
@@ -274,8 +276,9 @@ def _edges(
                 rng = noise.advance(rng)
                 wiring = hall_wiring.toggled(params.wiring, wiring, rng)
             else:
-                inputs[0], seen = hall_input.happened(params.input, inputs[0], seen)
-            pins = _pins(params, hall, seen, wiring)
+                inputs[0] = hall_input.happened(params.input, inputs[0])
+                happens = hall_input.next_due(inputs[0])
+            pins = _pins(params, hall, inputs, wiring)
             omega = omega_0 + x * (omega_1 - omega_0)
             wiring, m = _captured(params, wiring, index, pins, due, theta, omega, log, m)
         elif way != 0:
@@ -285,12 +288,13 @@ def _edges(
             theta += params.hall.latency * omega
             if params.input.on == 1:
                 code = hall_sensor.code(hall.number)
-                inputs[0], seen = hall_input.sensed(params.input, inputs[0], seen, code, captured)
-            pins = _pins(params, hall, seen, wiring)
+                inputs[0] = hall_input.sensed(params.input, inputs[0], code, captured)
+                happens = hall_input.next_due(inputs[0])
+            pins = _pins(params, hall, inputs, wiring)
             wiring, m = _captured(params, wiring, index, pins, captured, theta, omega, log, m)
         else:
             break
-    return world._replace(rng=rng, hall=hall, seen=seen, wiring=wiring), m
+    return world._replace(rng=rng, hall=hall, due=happens, wiring=wiring), m
 
 
 @kernel
@@ -322,10 +326,8 @@ def _move(
     if params.input.on == 1:
         size = math.hypot(first.i_alpha, first.i_beta)
         duties = (out.d_a, out.d_b, out.d_c)
-        inputs[0], seen = hall_input.begun(
-            params.input, inputs[0], world.seen, begin, params.period_ticks, size, out.on, duties
-        )
-        world = world._replace(seen=seen)
+        inputs[0] = hall_input.begun(params.input, inputs[0], begin, params.period_ticks, size, out.on, duties)
+        world = world._replace(due=hall_input.next_due(inputs[0]))
     rocks = mechanics.rocks(params.rock, load, out.on, plant.omega_m)
     if state.k % REFRESH == 0:
         plant = integrator.refresh(plant)
@@ -334,14 +336,13 @@ def _move(
         before = plant
         if rocks:
             load = mechanics.rocked(params.rock, params.h * ((state.k - 1) * params.substeps + j + 1))
-            plant, _ = integrator.step(constants, before, applied, load, params.h)
-            beyond = beyond._replace(omega=plant.omega_m)
-        elif params.coupling.stiffness > 0.0:
+            beyond = beyond._replace(omega=load.omega_m, tau=0.0)
+        if params.coupling.stiffness > 0.0 and not rocks:
             plant, beyond = coupling.step(constants, params.coupling, before, beyond, applied, load, params.h)
         else:
             plant, alpha = integrator.step(constants, before, applied, load, params.h)
         theta = hall_sensor.seen(params.hall, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
-        due = min(world.wiring.due, world.seen.due)
+        due = min(world.wiring.due, world.due)
         if theta >= world.hall.above or theta < world.hall.below or due <= state.tick:
             offset = (params.substeps - j) * step_ticks
             world, m = _edges(
@@ -440,9 +441,10 @@ def advance(
             if j == 0 or k == 1:  # a code that changes with the wires is an edge as the period begins
                 plant, wiring = world.plant, world.wiring
                 code = hall_sensor.code(world.hall.number)
-                inputs[0], seen_there = hall_input.switched(params.input, inputs[0], world.seen, code, world.rng)
-                world = world._replace(seen=seen_there)
-                pins = _pins(params, world.hall, world.seen, wiring)
+                inputs[0] = hall_input.switched(params.input, inputs[0], code, world.rng)
+                if params.input.on == 0:
+                    world = world._replace(due=NEVER)
+                pins = _pins(params, world.hall, inputs, wiring)
                 begin = state.tick - params.period_ticks + 1
                 omega = motor.n_p * plant.omega_m
                 wiring, m = _captured(params, wiring, state.counter, pins, begin, plant.theta_e, omega, log, m)
@@ -475,8 +477,7 @@ def advance(
         front, seen = sample.step(params.front, front, measured, edges, first, m)
         samples[j] = seen
         emf, e_alpha, e_beta = back_emf.step(params.back_emf, emf, seen)
-        rng = noise.advance(world.rng ^ hall_input.SALT)
-        index = encoder.sought(params.encoder, state.counter, sensed.absolute, rng)
+        index = encoder.sought(params.encoder, state.counter, sensed.absolute, world.rng)
         counter = encoder.counted(params.encoder, index, sensed.absolute)
         tracker, omega_enc = encoder.track(params.encoder, state.encoder, counter)
         theta_enc = encoder.angle(params.encoder, encoder.shown(params.encoder, index, counter))

@@ -24,6 +24,7 @@ from sim.numba_cache import kernel
 from sim.plant import noise
 
 TWO_PI = 2.0 * math.pi
+SALT = np.uint64(0xD1B54A32D192ED03)
 
 
 class Params(NamedTuple):
@@ -138,11 +139,14 @@ def booted(params: Params, absolute: int, search: int) -> Index:
 
 @kernel
 def sought(params: Params, index: Index, absolute: int, rng: np.uint64) -> Index:
-    """At the next sample, at an absolute count: counts may be lost, and the index pulse lies at whole turns."""
+    """At the next sample, at an absolute count: counts may be lost, and the index pulse lies at whole turns.
+
+    `rng`: the current sensors draw from it, too.
+    """
     missed = index.missed
     if params.lost != 0.0:
         way = absolute - index.last
-        lost = math.floor(abs(way * params.lost) + noise.uniform(rng))
+        lost = math.floor(abs(way * params.lost) + noise.uniform(noise.advance(rng ^ SALT)))
         missed += lost if way * params.lost > 0.0 else -lost
     lacks, found = index.lacks, index.found
     if found == 0:

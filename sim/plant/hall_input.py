@@ -76,24 +76,18 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is under way, by sensor."""
+    """What is under way, by sensor, and what comes of it."""
 
     on: int
     rng: np.uint64
     output: int  # code of the sensors' outputs
     late: int  # code after the delays
+    code: int  # after bounces, too
+    open: int  # inputs whose contact is open, a bit each
+    pulse: int  # inputs that a pulse inverts
     due: Ticks  # of the next event of each kind and sensor; NEVER: there is none
     left: tuple[int, int, int]  # changes of a bounce to come
     gap: Three  # mean ticks from a pulse to the next, as things are now; 0: none comes
-
-
-class Seen(NamedTuple):
-    """What comes of it."""
-
-    code: int  # after delays and bounces
-    open: int  # inputs whose contact is open, a bit each
-    pulse: int  # inputs that a pulse inverts
-    due: int  # tick of the next event
 
 
 def make_params(tick_hz: float, i_max: float, settings: Settings) -> Params:
@@ -127,19 +121,12 @@ def _three(values: Sequence[float]) -> Three:
 
 
 @kernel
-def nothing() -> Seen:
-    """What comes of no fault; its code is in no use."""
-    return Seen(0, 0, 0, NEVER)
-
-
-@kernel
-def switched(params: Params, state: State, seen: Seen, code: int, rng: np.uint64) -> tuple[State, Seen]:
+def switched(params: Params, state: State, code: int, rng: np.uint64) -> State:
     """Faults begin, with the sensors at `code`, or end; what goes on stays as it is."""
     if params.on == state.on:
-        return state, seen
+        return state
     due = (NEVER, NEVER, NEVER, NEVER, NEVER, NEVER, NEVER, NEVER, NEVER, NEVER, NEVER, NEVER)
-    state = State(params.on, noise.advance(rng ^ SALT), code, code, due, (0, 0, 0), (0.0, 0.0, 0.0))
-    return state, Seen(code, 0, 0, NEVER)
+    return State(params.on, noise.advance(rng ^ SALT), code, code, code, 0, 0, due, (0, 0, 0), (0.0, 0.0, 0.0))
 
 
 @kernel
@@ -153,73 +140,73 @@ def _first(due: Ticks) -> int:
 
 
 @kernel
+def next_due(state: State) -> int:
+    """The tick of the next event."""
+    return state.due[_first(state.due)]
+
+
+@kernel
 def _wait(rng: np.uint64, mean: float) -> int:
     """Ticks, one at least, exponentially distributed; half of one is what rounding up adds to the mean."""
     return 1 + math.floor(-max(mean - 0.5, 0.5) * math.log(1.0 - noise.uniform(rng)))
 
 
 @kernel
-def _arrived(params: Params, state: State, seen: Seen, sensor: int, tick: int) -> tuple[State, Seen]:
+def _arrived(params: Params, state: State, sensor: int, tick: int) -> State:
     """An edge of a sensor's output comes to the input, and may bounce."""
     late = state.late ^ 1 << sensor
+    code = state.code & ~(1 << sensor) | late & 1 << sensor
     rng, left, due = state.rng, 0, NEVER
     if params.bounce[sensor] > 0.0:
         rng = noise.advance(rng)
         if noise.uniform(rng) < params.bounce[sensor]:
             left, due = params.changes, tick + params.spacing
-    seen = seen._replace(code=seen.code & ~(1 << sensor) | late & 1 << sensor)
-    state = state._replace(rng=rng, late=late, left=with_item(state.left, sensor, left))
-    return state._replace(due=with_item(state.due, BOUNCE + sensor, due)), seen
+    dues = with_item(with_item(state.due, sensor, NEVER), BOUNCE + sensor, due)
+    return state._replace(rng=rng, late=late, code=code, left=with_item(state.left, sensor, left), due=dues)
 
 
 @kernel
-def sensed(params: Params, state: State, seen: Seen, code: int, tick: int) -> tuple[State, Seen]:
+def sensed(params: Params, state: State, code: int, tick: int) -> State:
     """The sensors' outputs change to `code`."""
     changed = state.output ^ code
     state = state._replace(output=code)
     for sensor in range(SENSORS):
         if changed >> sensor & 1 == 0:
             continue
+        delay = params.delay[sensor if code >> sensor & 1 == 1 else SENSORS + sensor]
         if (code ^ state.late) >> sensor & 1 == 0:  # back before it has come
             state = state._replace(due=with_item(state.due, sensor, NEVER))
-            continue
-        delay = params.delay[sensor if code >> sensor & 1 == 1 else SENSORS + sensor]
-        if delay == 0:
-            state, seen = _arrived(params, state, seen, sensor, tick)
+        elif delay == 0:
+            state = _arrived(params, state, sensor, tick)
         else:
             state = state._replace(due=with_item(state.due, sensor, tick + delay))
-    return state, seen._replace(due=state.due[_first(state.due)])
+    return state
 
 
 @kernel
-def happened(params: Params, state: State, seen: Seen) -> tuple[State, Seen]:
-    """The event at `seen.due` happens."""
+def happened(params: Params, state: State) -> State:
+    """The next event happens."""
     k = _first(state.due)
     tick = state.due[k]
     sensor = k % SENSORS
-    due = NEVER
     if k < BOUNCE:
-        state, seen = _arrived(params, state, seen, sensor, tick)
-    elif k < CONTACT:
+        return _arrived(params, state, sensor, tick)
+    due = NEVER
+    if k < CONTACT:
         left = state.left[sensor] - 1
-        state = state._replace(left=with_item(state.left, sensor, left))
-        seen = seen._replace(code=seen.code ^ 1 << sensor)
+        state = state._replace(left=with_item(state.left, sensor, left), code=state.code ^ 1 << sensor)
         if left > 0:
             due = tick + params.spacing
     elif k < PULSE:
-        seen = seen._replace(open=seen.open ^ 1 << sensor)
-        state = state._replace(rng=noise.advance(state.rng))
-        mean = params.stretch if seen.open >> sensor & 1 == 1 else params.closed[sensor]
-        due = tick + _wait(state.rng, mean)
+        state = state._replace(rng=noise.advance(state.rng), open=state.open ^ 1 << sensor)
+        due = tick + _wait(state.rng, params.stretch if state.open >> sensor & 1 == 1 else params.closed[sensor])
     else:
-        seen = seen._replace(pulse=seen.pulse ^ 1 << sensor)
-        state = state._replace(rng=noise.advance(state.rng))
-        if seen.pulse >> sensor & 1 == 1:
+        state = state._replace(rng=noise.advance(state.rng), pulse=state.pulse ^ 1 << sensor)
+        if state.pulse >> sensor & 1 == 1:
             due = tick + max(1, round(params.pulse_min + params.pulse_spread * noise.uniform(state.rng)))
         elif state.gap[sensor] > 0.0:
             due = tick + _wait(state.rng, state.gap[sensor])
-    state = state._replace(due=with_item(state.due, k, due))
-    return state, seen._replace(due=state.due[_first(state.due)])
+    return state._replace(due=with_item(state.due, k, due))
 
 
 @kernel
@@ -233,24 +220,15 @@ def _pwm_edge(rng: np.uint64, tick: int, period_ticks: int, duties: Three) -> in
 
 @kernel
 def begun(
-    params: Params,
-    state: State,
-    seen: Seen,
-    tick: int,
-    period_ticks: int,
-    current: float,
-    outputs_on: int,
-    duties: Three,
-) -> tuple[State, Seen]:
+    params: Params, state: State, tick: int, period_ticks: int, current: float, outputs_on: int, duties: Three
+) -> State:
     """What comes at random in the period after `tick`, with a current of that amplitude (A), is drawn anew."""
     rng, due, gaps = state.rng, state.due, state.gap
     for sensor in range(SENSORS):
         if params.closed[sensor] > 0.0:
             rng = noise.advance(rng)
-            mean = params.stretch if seen.open >> sensor & 1 == 1 else params.closed[sensor]
+            mean = params.stretch if state.open >> sensor & 1 == 1 else params.closed[sensor]
             due = with_item(due, CONTACT + sensor, tick + _wait(rng, mean))
-        if params.rate[sensor] == 0.0:
-            continue
         rate = params.rate[sensor]
         if params.by == BY_CURRENT:
             rate *= current * params.per_ampere
@@ -258,16 +236,14 @@ def begun(
         if params.by != BY_PWM and rate > 0.0:
             gap = max(1.0 / rate - params.pulse_min - 0.5 * params.pulse_spread, 1.0)
         gaps = with_item(gaps, sensor, gap)
-        if seen.pulse >> sensor & 1 == 1:
+        if params.rate[sensor] == 0.0 or state.pulse >> sensor & 1 == 1:
             continue
         at = NEVER
+        rng = noise.advance(rng)
         if gap > 0.0:
-            rng = noise.advance(rng)
             at = tick + _wait(rng, gap)
-        elif params.by == BY_PWM and outputs_on == 1:
+        elif params.by == BY_PWM and outputs_on == 1 and noise.uniform(rng) < rate * period_ticks:
             rng = noise.advance(rng)
-            if noise.uniform(rng) < rate * period_ticks:
-                rng = noise.advance(rng)
-                at = _pwm_edge(rng, tick, period_ticks, duties)
+            at = _pwm_edge(rng, tick, period_ticks, duties)
         due = with_item(due, PULSE + sensor, at)
-    return state._replace(rng=rng, due=due, gap=gaps), seen._replace(due=due[_first(due)])
+    return state._replace(rng=rng, due=due, gap=gaps)
