@@ -172,15 +172,14 @@ class SimulatedBench:
 
     def _set_constants(self) -> None:
         """Use the bench as it is now, with the faults that are in force."""
-        p = self.params
-        faults = p.faults
+        hall, faults = self.params.hall, self.params.faults
+        moved = hall.replace(delta_deg=_delta_deg(hall.delta_deg, self.load_parameters))
+        p = self.params.replace(hall=moved)  # refused also where faults to come would leave a sector no room
         if not self.load_parameters["faults"]:
             faults = faults.without()
         elif self.n < self._slips:
             faults = faults.replace(encoder=faults.encoder.replace(slip_deg=0.0))
-        self._now = p.replace(
-            faults=faults, hall=p.hall.replace(delta_deg=_delta_deg(p.hall.delta_deg, self.load_parameters))
-        )
+        self._now = p.replace(faults=faults)
         self._constants = _make(self._now, self.parameters, self.load_parameters)
         self._params.first = self._constants
         self._warm()

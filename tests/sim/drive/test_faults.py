@@ -394,6 +394,29 @@ def test_the_same_bits_whatever_the_portions():
     assert [x.tobytes() for x in whole] == [x.tobytes() for x in parts]
 
 
+def test_the_worst_of_all_leaves_every_edge_in_its_place_and_order():
+    """Contacts of a tick, bounces within bounces, pulses back to back: each sample reads what the edges add up to."""
+    rig = Rig(
+        3,
+        **faulty(hall__bounce=[1.0] * 3, hall__bounce_returns=20, hall__bounce_spacing=1e-6, hall__pulse_rate=[1e4] * 3,
+                 hall__pulse_min=1e-6, hall__contact_open=[0.999, 0.5, 0.0], hall__contact_stretch=5e-5,
+                 hall__rise_delay=[0.0, 1e-3, 0.0]),
+        **{"wiring.hall_glitch": 1e5},
+    )  # fmt: skip
+    rig.load(SetpointMode.SPEED, 340.0)
+    code = 1
+    for n in [1] * 200 + [1000]:
+        run = rig.advance(n)
+        assert np.all(np.diff(run.edge_tick) >= 0)
+        assert np.all((run.edge_tick > run.tick - PERIOD) & (run.edge_tick <= run.tick + PERIOD * (n - 1)))
+        old, new = run.edges["codes"] & 7, run.edges["codes"] >> 3 & 7
+        assert np.array_equal(old, np.r_[code, new[:-1]][: len(old)])
+        at = np.searchsorted(run.edge_tick, run.tick + PERIOD * np.arange(n), side="right")
+        assert np.array_equal(np.r_[code, new][at], run.samples["hall"])
+        code = run.samples["hall"][-1]
+    assert len(run.edges) > 20_000
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -410,6 +433,14 @@ def test_the_same_bits_whatever_the_portions():
 def test_what_cannot_be_is_refused_in_a_line(settings, words):
     with pytest.raises(ConfigError, match=words):
         load_params(None, faulty(**settings))
+
+
+def test_edges_are_not_moved_where_a_fault_to_come_would_leave_no_room():
+    rig = Rig(0, **faulty(begin=0.01, magnets__pole_pair_off_deg=40.0))
+    with pytest.raises(ConfigError, match=r"sector 1 only 35 deg wide"):
+        rig.set_load_param("hall_delta_1", np.radians(-25.0))
+    rig.run(0.02)
+    assert rig.load_parameters["faults"] == 1.0
 
 
 def test_by_default_no_fault_is_in_the_configuration():
