@@ -339,4 +339,5 @@ LOAD_PARAMETERS: tuple[Parameter, ...] = (
     *_by_sector(107, "hall_delta", "edge: ideal minus actual angle, at the start of sector"),
     Parameter(113, "hall_invert", Unit.NONE, 0, 7, _PW, "Hall inputs inverted, one bit each"),
     Parameter(114, "hall_short", Unit.NONE, 0, 7, _PW, "Hall wires shorted, one bit each; the input reads 0"),
+    Parameter(115, "faults", Unit.NONE, 0, 1, _PW, "1 = the faults of the rig's own configuration are in force"),
 )
