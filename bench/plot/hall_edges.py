@@ -63,7 +63,7 @@ def words(of: Measured) -> str:
 def draw(of: Measured) -> Figure:
     """The edges on the circle, and how late each comes, with the standard deviation of its passages."""
     names = [f"{name}\n{edge.name.replace(' ', chr(10))}" for name, edge in zip(NUMERALS, of.edges, strict=True)]
-    figure, circle, chart = edge_axes(names, GREY, 4.0)
+    figure, circle, chart = edge_axes(names, GREY, 4.0, of.edges[0].ideal)
     late_all = []
     for way, mark, hue, shift, inner in (("forward", ">", SERIES[1], -0.1, 0.0), ("reverse", "<", SERIES[0], 0.1, 0.3)):
         passages = [edge.up if way == "forward" else edge.down for edge in of.edges]

@@ -149,6 +149,7 @@ class Hall(Section):
     """The three Hall sensors, electrical degrees."""
 
     delta_deg: Six[Annotated[float, _number("deg", ge=-29, le=29)]]
+    offset_deg: float = _number("deg", ge=-360, le=360)
     hysteresis_deg: float = _number("deg", ge=0, le=10)
     pole_pair_deg: float = _number("deg", ge=0, le=10)
     latency: float = _number("s", ge=0, le=1e-3)
@@ -432,6 +433,9 @@ class Firmware(Section):
     i_max: float = _DRIVE["i_max"]
     omega_m_max: float = _DRIVE["omega_m_max"]
     alpha_m_max: float = _DRIVE["alpha_m_max"]
+    hall_offset: float = _DRIVE["hall_offset"]
+    hall_swap_hat: Whole = _DRIVE["hall_swap_hat"]
+    hall_invert_hat: Whole = _DRIVE["hall_invert_hat"]
     observer: Whole = _DRIVE["observer"]
     watchdog: float = _DRIVE["watchdog"]
     hall_speed: HallSpeed

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.messages import DriveState, Fault, SetpointMode
-from protocol.signals import AngleSource
+from protocol.signals import AngleSource, hall_map
 from protocol.streams import EDGE_RECORD
 from sim.config.params import BenchParams, ConfigError
 from sim.control import current_loop, dead_time, speed_loop
@@ -51,6 +51,7 @@ __all__ = ["SOURCES", "Recorded", "SimulatedBench", "Truth"]
 FRONT_END = AngleSource.AVERAGE_SPEED  # whose estimate the loop makes in any case
 ALWAYS = {AngleSource.VECTOR_TRACKING}  # observers that run in any case
 WARM_UP = 0.1  # s for which an observer runs before the control of a running motor takes its angle
+HALL_RING = ("hall_offset", "hall_swap_hat", "hall_invert_hat")
 SHOWN = 0.98  # of the largest speed that the Hall sensors show
 ROW = layout(tick.Row).itemsize // 8  # words
 PORTION = 2048  # periods that run at most before the observers do: what they see is still near
@@ -260,6 +261,7 @@ class SimulatedBench:
             raise KeyError(f"no parameter {name!r}; there are: {', '.join(self.parameters)}")
         if name == "observer":
             self._observe(int(value))
+        self._reset |= name in HALL_RING  # what observers remember was in another frame
         self.parameters[name] = _f32(value)
         self._set_params()
 
@@ -377,6 +379,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
         hall_input.make_params(p.clock.tick_hz, p.motor.i_max, _input(p)),
         hall_wiring.make_params(p.clock.tick_hz, **_some(load, *hall_wiring.PARAMETERS)),
         mechanics.make_rock(**dict(p.faults.shaft), n_p=p.motor.n_p),
+        hall_map(drive["hall_swap_hat"], drive["hall_invert_hat"]),
         current_sensor.make_params(**dict(p.current_sensor)),
         sample.make_params(p.clock.tick_hz, chosen(sample.Settings, drive)),
         back_emf.make_params(p.clock.pwm_hz, *_some(drive, "R_s_hat", "L_s_hat", "tau_max").values()),

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, AngleSource, Status
+from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, AngleSource, Eight, Status
 from sim.drive import tick_firmware
 from sim.drive import tick_protection as protection
 from sim.drive.tick_record import edge_codes, quantised, quantised_u16
@@ -62,6 +62,7 @@ class Params(NamedTuple):
     input: hall_input.Params
     wiring: hall_wiring.Params
     rock: mechanics.Rock
+    hall_map: Eight  # Hall code that the firmware takes its inputs for
     current_sensor: current_sensor.Params
     front: sample.Params
     back_emf: back_emf.Params
@@ -213,17 +214,18 @@ def _captured(
     log: EdgeLog,
     m: int,
 ) -> tuple[hall_wiring.State, int]:
-    """Capture an edge at `tick`, at this angle and speed, if the code `new` is another one than before."""
-    old = wiring.pins
-    if new == old:
+    """Capture an edge at `tick`, at this angle and speed, if the inputs read `new` and not what they did before."""
+    if new == wiring.pins:
         return wiring, m
-    log.edges[m] = Edge(tick, new)
+    old = params.hall_map[wiring.pins]
+    code = params.hall_map[new]
+    log.edges[m] = Edge(tick, code)
     count = 0
     if params.has_encoder == 1:
         count = encoder.counted(params.encoder, index, encoder.count(params.encoder, theta, omega))
         count = encoder.shown(params.encoder, index, count)
     log.wire[m] = WireEdge(
-        np.uint32(tick & 0xFFFFFFFF), np.uint8(edge_codes(old, new)), np.uint8(0), np.uint16(count & 0xFFFF)
+        np.uint32(tick & 0xFFFFFFFF), np.uint8(edge_codes(old, code)), np.uint8(0), np.uint16(count & 0xFFFF)
     )
     return wiring._replace(pins=new), m + 1
 
@@ -386,9 +388,9 @@ def _sense(params: Params, world: World, on: int, quantiles: Pointer[float]) -> 
 
 
 @kernel
-def _implausible(after: hall_speed.State, before: hall_speed.State, pins: int) -> int:
+def _implausible(after: hall_speed.State, before: hall_speed.State, code: int) -> int:
     """Implausible edges between two samples, by the front end's counts of illegal codes and skipped sectors."""
-    sampled = 1 if pins == 0 or pins == 7 else 0
+    sampled = 1 if code == 0 or code == 7 else 0
     return after.illegal - before.illegal - sampled + after.skipped - before.skipped
 
 
@@ -455,7 +457,7 @@ def advance(
         else:
             world = world._replace(rng=noise.advance(world.rng))
 
-        plant, electric, pins = world.plant, world.electric, world.wiring.pins
+        plant, electric, code = world.plant, world.electric, params.hall_map[world.wiring.pins]
         sensed = _sense(params, world, firmware.driving.now.on, quantiles)
         driving = firmware.driving
         front = state.front
@@ -466,7 +468,7 @@ def advance(
         hall_before = front.hall
         measured = Measured(
             state.tick,
-            pins,
+            code,
             driving.now.u_alpha,
             driving.now.u_beta,
             sensed.i_a,
@@ -492,8 +494,8 @@ def advance(
             max(abs(sensed.i_a), abs(sensed.i_b), abs(sensed.i_c)),
             omega_enc if params.has_encoder == 1 else seen.hall.omega,
             u_dc,
-            pins,
-            _implausible(front.hall, hall_before, pins),
+            code,
+            _implausible(front.hall, hall_before, code),
             front.hall.now.direction,
             e_alpha,
             e_beta,
@@ -508,7 +510,7 @@ def advance(
         if params.coupling.stiffness == 0.0:
             tau = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, electric.tau, world.alpha_m)
         rows[j] = Row(
-            pins,
+            code,
             status,
             theta_enc,
             omega_enc,

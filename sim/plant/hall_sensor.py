@@ -1,11 +1,11 @@
 """Three Hall sensors by six edge angles, with hysteresis and jitter; edge times between integration steps.
 
-The edge that opens sector s lies at s * 60 deg - delta_s (Table I), so rising and falling edges of one sensor need
-not be 180 deg apart. Met forwards an edge lies half the hysteresis later, met backwards half of it earlier, and each
-meeting has its own jitter. Once passed, an edge is not met again before the rotor turns round. Poles are not all alike:
-each edge of each pole pair may lie elsewhere by a constant of its own, all edges of one pole pair by one angle, and
-those of a ring that sits off its centre by a sine of the shaft's angle. Sensors answer late: what they show is where
-the rotor was `latency` ago, at the speed that it has.
+The edge that opens sector s lies at offset + s * 60 deg - delta_s (Table I), so rising and falling edges of one sensor
+need not be 180 deg apart; the offset turns the whole ring. Met forwards an edge lies half the hysteresis later, met
+backwards half of it earlier, and each meeting has its own jitter. Once passed, an edge is not met again before the
+rotor turns round. Poles are not all alike: each edge of each pole pair may lie elsewhere by a constant of its own, all
+edges of one pole pair by one angle, and those of a ring that sits off its centre by a sine of the shaft's angle.
+Sensors answer late: what they show is where the rotor was `latency` ago, at the speed that it has.
 
 The code follows the sector: 1, 3, 2, 6, 4, 5 for sectors 0..5 (bit 0 = sensor a, 1 = b, 2 = c).
 
@@ -60,9 +60,10 @@ def make_params(
     n_p: int = 1,
     pole_pair_deg: float = 0.0,
     latency: float = 0.0,
+    offset_deg: float = 0.0,
 ) -> Params:
-    """The sensors' constants from six delta_s and widths in electrical degrees, pole pairs and s."""
-    e0, e1, e2, e3, e4, e5 = (math.radians(60.0 * s - delta) for s, delta in enumerate(delta_deg))
+    """The sensors' constants from six delta_s, widths and offset in electrical degrees, pole pairs and s."""
+    e0, e1, e2, e3, e4, e5 = (math.radians(offset_deg + 60.0 * s - delta) for s, delta in enumerate(delta_deg))
     half, jitter = math.radians(hysteresis_deg) / 2.0, math.radians(jitter_deg)
     around = 6 * n_p, math.radians(pole_pair_deg), float(latency)
     return Params((e0, e1, e2, e3, e4, e5), (half, half, half), jitter, *around, 0, 0.0, 0.0)
@@ -134,7 +135,7 @@ def enter(params: Params, number: int, theta_e: float, quantiles: Pointer[float]
 @kernel
 def init(params: Params, theta_e: float, quantiles: Pointer[float], rng: np.uint64) -> State:
     """The state at boot at the unwrapped angle `theta_e` (rad)."""
-    number = math.floor(theta_e / (math.pi / 3.0)) - 1
+    number = math.floor((theta_e - params.edges[0]) / (math.pi / 3.0)) - 2
     while edge_angle(params, number + 1) <= theta_e:
         number += 1
     return enter(params, number, theta_e, quantiles, rng)

@@ -14,11 +14,12 @@ QUANTILES = noise.table()
 RNG = np.uint64(noise.advance(noise.seeded(1)))
 
 
+@pytest.mark.parametrize("ring", [0.0, 30.0, -75.0, 180.0, -360.0, 360.0])
 @pytest.mark.parametrize("degrees", [-400.0, -1.0, 0.0, 1.3, 52.0, 53.0, 200.0, 361.0, 1000.0])
-def test_sector_at_boot(degrees):
-    params = hall_sensor.make_params(TABLE_I, 0.5, 0.0)
+def test_sector_at_boot(degrees, ring):
+    params = hall_sensor.make_params(TABLE_I, 0.5, 0.0, offset_deg=ring)
     state = hall_sensor.init(params, math.radians(degrees), QUANTILES, RNG)
-    edges = {n: 60.0 * n - TABLE_I[n % 6] for n in range(-20, 30)}
+    edges = {n: ring + 60.0 * n - TABLE_I[n % 6] for n in range(-20, 30)}
     assert state.number == max(n for n, edge in edges.items() if edge <= degrees)
 
 
