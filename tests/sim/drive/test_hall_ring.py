@@ -39,7 +39,7 @@ def test_the_map_undoes_each_wiring(swap, invert):
     wires = {"hall_swap": swap, "hall_invert": invert, "hall_open": 0.0, "hall_short": 0.0, "hall_glitch": 0.0}
     params = hall_wiring.make_params(20e6, **wires)
     told = hall_map(swap, invert)
-    assert [told[hall_wiring.pins(params, code, 0)] for code in range(8)] == list(range(8))
+    assert [told[hall_wiring.pins(params, code, 0, 0)] for code in range(8)] == list(range(8))
 
 
 @pytest.mark.parametrize(("swap", "invert"), chosen("wirings that a firmware is told", ELSEWHERE, 3))
