@@ -20,12 +20,14 @@ from bench.findings.thresholds import (
     DISPLACED,
     ECCENTRIC,
     LATE_EDGES,
+    LEAST_PASSAGES,
     PAIR_OFF,
     PAIRS_OFF,
     SCATTER,
     SCATTER_ALL,
     SINE,
     SURE,
+    SWINGING,
     TOLD_LATE,
 )
 from bench.signal.edge_fit import OPENS, EdgeFit
@@ -83,8 +85,9 @@ def magnets(measured: Measured) -> Iterator[Finding]:
     wave = np.exp(2j * math.pi * np.arange(pairs) / pairs)
     sine = 2.0 * abs(np.vdot(wave, of_turn)) / pairs / float(np.sinc(1.0 / pairs)) if pairs > 2 else 0.0
     uneven = of_turn - 2.0 / pairs * (np.vdot(wave, of_turn) * wave).real
-    one = abs(alone) > PAIR_OFF and np.delete(of_pair, worst).std() <= uneven.std()
-    if not one and sine > ECCENTRIC * pairs and sine > SINE:
+    alike, rest = np.delete(of_pair, worst), max(1, pairs - 3)
+    one = abs(alone) > PAIR_OFF and alike.var() * (pairs - 1) / max(1, pairs - 2) <= uneven.var() * pairs / rest
+    if not one and sine > max(ECCENTRIC * pairs, SINE) and uneven.std() < 0.5 * of_turn.std():
         yield Finding(
             "encoder_eccentric",
             f"the encoder's disc or the magnet ring is eccentric: all edges move by {degrees(sine)} once a turn",
@@ -157,14 +160,15 @@ def delays(measured: Measured) -> Iterator[Finding]:
 
 
 def enough(measured: Measured) -> bool:
-    """Whether every edge was passed often enough that it can be judged without an encoder."""
-    return measured.fit is not None and int(measured.fit.n.sum(axis=1).min()) >= BLIND_PASSAGES
+    """Whether every edge was passed often enough that it can be judged."""
+    least = BLIND_PASSAGES if measured.blind else LEAST_PASSAGES
+    return measured.fit is not None and int(measured.fit.n.sum(axis=1).min()) >= least
 
 
 def unsteady(measured: Measured, resolution: float) -> Iterator[Finding]:
     """Edges that do not repeat; `resolution`: rad rms that the times and angles are not known to."""
     fit = measured.fit
-    if fit is None or not fit.passages:
+    if fit is None or not fit.passages or (measured.blind and fit.speed < SWINGING):
         return
     most = math.hypot(SCATTER if fit.apart else SCATTER_ALL, 1.5 * resolution)
     far = [
@@ -187,7 +191,7 @@ def unsteady(measured: Measured, resolution: float) -> Iterator[Finding]:
             "look for play between magnet and shaft, a sensor at its threshold, and a noisy supply"
             + ("" if fit.apart else f"; {ONCE_A_TURN}"),
         )
-    elif fit.aside > ASIDE * (fit.passages + fit.aside):
+    elif fit.aside - fit.first_aside > ASIDE * (fit.passages + fit.aside):
         yield Finding(
             "unsteady",
             f"{percent(fit.aside / (fit.passages + fit.aside))} of the edges lie far from their places",

@@ -24,6 +24,10 @@ BY_HAND = (
     "turn the shaft by one revolution by hand: theta_enc then passes n_p electrical revolutions, if its lines are right"
 )
 SLIPS = "look for a slipping coupling, a loose disc, and lost counts"
+OFTEN = 3
+"""Jumps of all edges together, from which on the encoder slips again and again."""
+MOST_LATE = 3000.0
+"""us that edges or encoder may be late: what is more is a slip."""
 UNSTEADY = 0.03
 """Of the ratio of encoder to sectors, by which it scatters where they do not turn together."""
 NEAR_ONE = 0.004
@@ -133,9 +137,10 @@ def index_came(measured: Measured, turns: Turns, declared: float | None, emf: Ba
     takes to stand at `declared`.
     """
     fit, net = measured.fit, measured.inputs.net
-    if fit is None or len(fit.common.steps) != 1 or turns.n_p is None:
+    large = [] if fit is None else [step for step in fit.common.steps if abs(step.size) >= SLIPPED]
+    if len(large) != 1 or turns.n_p is None:
         return None
-    [step] = fit.common.steps
+    [step] = large
     before = net.sectors[net.tick <= step.tick]
     if len(before) and float(before.max() - before.min()) / 6.0 > turns.n_p + 1:
         return None
@@ -154,8 +159,17 @@ def slipped(measured: Measured, index: Step | None, tick_hz: float, resolution: 
     fit = measured.fit
     if fit is None:
         return
-    for step in fit.common.steps:
-        if step is index or abs(step.size) < max(SLIPPED, resolution):
+    large = [step for step in fit.common.steps if abs(step.size) >= max(SLIPPED, resolution)]
+    if len(large) >= OFTEN:
+        yield Finding(
+            "encoder_slips",
+            f"the encoder slips again and again, by up to {degrees(max(abs(s.size) for s in large))} (electrical)",
+            (f"{len(large)} jumps of all edges together, the first at {large[0].tick / tick_hz:.2f} s",),
+            SLIPS,
+        )
+        return
+    for step in large:
+        if step is index:
             continue
         yield Finding(
             "encoder_slipped",
@@ -173,7 +187,8 @@ def slipped(measured: Measured, index: Step | None, tick_hz: float, resolution: 
             (f"{degrees(fit.common.drifted)} between the farthest places; all edges move alike",),
             "look for counts that get lost (cable, supply, speed limit of the counter) and for a wrong number of lines",
         )
-    yield from _between(measured, fit)
+    if not large and fit.common.drifted <= max(SLIPPED, resolution):
+        yield from _between(measured, fit)
 
 
 def _between(measured: Measured, fit: EdgeFit) -> Iterator[Finding]:
@@ -185,7 +200,7 @@ def _between(measured: Measured, fit: EdgeFit) -> Iterator[Finding]:
     slip = f"the encoder slipped by {degrees(both)} (electrical) between the two directions"
     why = "no sensor has a hysteresis below zero" if both < 0.0 else "sensors that are well have 0.2 to 2 deg"
     code, cause = "encoder_slipped", slip
-    if not timed:
+    if not timed and late < MOST_LATE:
         code = "encoder_late" if both < 0.0 else "late_edges"
         cause = f"edges come {late:.0f} us {'late' if both > 0.0 else 'before the encoder'}, or {slip}"
     yield Finding(

@@ -25,6 +25,8 @@ from bench.findings.thresholds import (
     PULSES,
     SIDE,
     STILL,
+    UNEQUAL,
+    WINDOWS,
 )
 from bench.signal.hall_inputs import NEAR, Inputs
 from bench.signal.pulses import Pulses
@@ -78,7 +80,8 @@ def dead(trace: Trace, inputs: Inputs, turned: float) -> Iterator[Finding]:
             share = percent(high if level else 1.0 - high)
             evidence = f"input {name} reads {level} in {share} of {trace.samples} samples, over {turned:.1f} electrical"
             yield Finding("dead", cause, (f"{evidence} revolutions", f"changes of the inputs: {told}"), advice)
-        elif len(flips) and (after := _gone(inputs, edges, int(flips[-1]))) >= DEAD_TURNS:
+        elif len(flips) and _stopped(inputs, edges, flips):
+            after = _gone(inputs, edges, int(flips[-1]))
             level = int(edges.new[flips[-1]] >> number & 1)
             cause, advice = stuck(name, level)
             since = edges.tick[flips[-1]] / trace.tick_hz
@@ -93,13 +96,23 @@ def dead(trace: Trace, inputs: Inputs, turned: float) -> Iterator[Finding]:
             )
 
 
-def _gone(inputs: Inputs, edges: Edges, last: int) -> float:
+def _stopped(inputs: Inputs, edges: Edges, flips: NDArray[np.int64]) -> bool:
+    """Whether an input is silent at the end for much longer than ever before: a contact comes back."""
+    after = _gone(inputs, edges, int(flips[-1]))
+    if after < DEAD_TURNS:
+        return False
+    longest = np.argsort(np.diff(flips))[-3:]
+    return after > 3.0 * max((_gone(inputs, edges, int(flips[k]), int(flips[k + 1])) for k in longest), default=0.0)
+
+
+def _gone(inputs: Inputs, edges: Edges, last: int, until: int | None = None) -> float:
     """Electrical revolutions that the shaft went away after an edge; without an encoder, those that two inputs show."""
-    theta = edges.theta[last:] / inputs.ratio
+    theta = edges.theta[last : until and until + 1] / inputs.ratio
     if np.isfinite(theta).any():
         return float(np.ptp(theta[np.isfinite(theta)])) / math.tau
     net = inputs.net
-    after = net.sectors[max(0, int(np.searchsorted(net.at, last)) - 1) :]
+    first, behind = np.searchsorted(net.at, (last, len(edges.tick) if until is None else until))
+    after = net.sectors[max(0, int(first) - 1) : int(behind)]
     return float(np.ptp(after)) / 2.0 if len(after) else 0.0
 
 
@@ -115,7 +128,7 @@ def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
     """Wires that make contact now and then: an input that misses edges, or goes away for a part of a revolution."""
     returns, changes = inputs.returns, inputs.changes
     gone, blind = missed(inputs), not np.isfinite(inputs.ratio)
-    changed = np.bincount(changes.input, minlength=3)
+    changed, at_one = np.bincount(changes.input, minlength=3), _levels(trace.edges)
     for number, name in enumerate(INPUTS):
         own = returns.input == number
         apart = own & ~returns.at_edge
@@ -124,14 +137,19 @@ def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
         one_sided = n >= ONE_SIDED and max(high, n - high) > SIDE * n
         both_sides = n >= ONE_SIDED and not one_sided
         windows = int(gone[number])
+        if both_sides and windows < WINDOWS * n:  # pulses beside an edge do that, too
+            windows = 0
         if blind and windows <= np.delete(gone, number).max() * 5:  # all alike: the sectors are not told well
             windows = 0
         away = windows + (0 if both_sides else long) + (n if one_sided else 0)
-        mostly = changed[number] < MOSTLY * changed.max() and int(np.count_nonzero(own)) > BROKEN
+        level = at_one[number]
+        others = float(np.abs(np.delete(at_one, number) - 0.5).min())
+        lopsided = abs(level - 0.5) > max(UNEQUAL, 3.0 * others)
+        seldom = changed[number] < MOSTLY * changed.max() and not both_sides
+        mostly = (lopsided or seldom) and int(np.count_nonzero(own)) > BROKEN
         if away <= BROKEN and not mostly:
             continue
-        level = int(np.count_nonzero(own & returns.high) * 2 > np.count_nonzero(own))
-        share = float(returns.width[own & (returns.high == bool(level))].sum()) / max(trace.seconds, 1e-9)
+        share = float(returns.width[own & (returns.high == (level > 0.5))].sum()) / max(trace.seconds, 1e-9)
         words = [
             f"{windows} times it did not change where it should have" if windows else "",
             f"{int(np.count_nonzero(own))} times it went away and came back, {percent(share)} of the time"
@@ -145,6 +163,18 @@ def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
             tuple(filter(None, words)),
             f"move the connector and the wire of sensor {name} while the shaft turns, and watch this count",
         )
+
+
+def _levels(edges: Edges) -> NDArray[np.float64]:
+    """Share of the time in which each input was 1, standing left out."""
+    if len(edges.tick) < 2:
+        return np.full(3, math.nan)
+    lasts = np.diff(edges.tick).astype(np.float64)
+    whole = np.sort(lasts)[::-1]
+    lasts = np.minimum(lasts, 3.0 * float(whole[np.searchsorted(np.cumsum(whole), 0.5 * whole.sum())]))
+    high = edges.new[:-1, None] >> np.arange(3) & 1
+    levels: NDArray[np.float64] = lasts @ high / lasts.sum()
+    return levels
 
 
 def bounces(inputs: Inputs, found: Pulses, broken: Iterable[Finding]) -> Iterator[Finding]:

@@ -60,9 +60,13 @@ DEAD_TURNS = 3.0
 MISSES, BLIND_MISSES = 0.85, 0.8
 """Electrical revolutions between two changes of an input, from which on it missed one: sensors are 1 over half of one,
 and none was found to be off by more than 30 deg. Without an encoder five sectors."""
-BROKEN, ONE_SIDED, SIDE = 1, 8, 0.9
+BROKEN, ONE_SIDED, SIDE = 2, 8, 0.9
 """Times that an input may go away for a part of a revolution; and short ones, of which such a share is to one level,
 that no interference makes: eight are so by chance once in 128."""
+WINDOWS = 0.2
+"""Of what returns to both levels, as pulses do, that an input must miss besides to be a contact."""
+UNEQUAL = 0.08
+"""Share of the time by which an input may be 1 more or less than half of it: edges 8.4 deg off make 0.05."""
 MOSTLY = 0.8
 """Of the changes of the other inputs, below which an input that goes away and comes back is away mostly."""
 PULSES, PULSE_RATE = 3, 0.1
@@ -84,9 +88,13 @@ SURE = 3.0
 SCATTER, SCATTER_ALL = math.radians(2.0), math.radians(4.0)
 """Jitter from which on an edge is unsteady: four times the hysteresis of good sensors; where pole pairs, which differ
 by 1.4 deg rms in real motors, are not told apart, as much more."""
+CLOUDED = 0.3
+"""Share of edges far from their places, beyond which nothing more is said of an encoder while inputs are disturbed."""
+SWINGING = 10.0 * math.tau
+"""Electrical rad/s, below which a speed that swings scatters edges that no encoder measures."""
 ASIDE = 0.05
 """Share of edges far from their places, beyond which they do not repeat."""
-PAIR_OFF, PAIRS_OFF = math.radians(4.5), math.radians(3.0)
+PAIR_OFF, PAIRS_OFF = math.radians(6.0), math.radians(3.0)
 """rad by which one pole pair may stand off, and edges of pole pairs may differ, rms: 0.85 to 1.36 in real motors."""
 ECCENTRIC, SINE = math.radians(0.35), math.radians(4.0)
 """rad of the shaft, and electrical, by which a disc or a ring may swing: 0.1 mm at a radius of 16 mm."""

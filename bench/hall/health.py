@@ -18,7 +18,7 @@ import numpy as np
 from bench.findings import edges, encoder, late, sensors, wiring
 from bench.findings.finding import Finding
 from bench.findings.sensors import Codes
-from bench.findings.thresholds import LEAST_PASSAGES, LEAST_REACH, LEAST_TURNS
+from bench.findings.thresholds import CLOUDED, LEAST_PASSAGES, LEAST_REACH, LEAST_TURNS
 from bench.findings.wiring import Diagnosis, diagnose
 from bench.rig.outcome import RunOutcome
 from bench.signal import hall_edges, pulses, reference
@@ -94,9 +94,11 @@ def examine(trace: Trace, further: str = "") -> Health:
 def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     """What edges, encoder and back-EMF tell of each other; `steady`: whether no input disturbs the edges."""
     measured, turns, fit = health.measured, health.turns, health.measured.fit
+    if fit is None or (not steady and fit.aside > CLOUDED * (fit.passages + fit.aside)):
+        return replace(health, missing=("what disturbs the inputs hides where their edges lie: mend that first",))
     if contradicting := list(encoder.lines(measured, turns)):
         return replace(health, findings=tuple(contradicting))
-    since = max((step.tick for step in fit.common.steps), default=0) if fit is not None else 0
+    since = max((step.tick for step in fit.common.steps), default=0)
     emf, declared = reference.back_emf(trace, since), trace.parameters.get("hall_offset")
     index = encoder.index_came(measured, turns, declared, emf)
     jumped = list(encoder.slipped(measured, index, trace.tick_hz, resolution(trace, measured)))
@@ -111,10 +113,16 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     reversed_too = any(finding.code == "encoder_reversed" for finding in findings)
     wired = [] if jumped else list(wiring.order(possible, declared, emf is not None))
     findings += [finding for finding in wired if not (reversed_too and finding.code == "encoder_reversed")]
-    findings += [*edges.places(measured), *(() if jumped else edges.magnets(measured))]
-    if steady and not any(finding.code == "encoder_late" for finding in findings):
+    if edges.enough(measured):
+        findings += [*edges.places(measured), *(() if jumped else edges.magnets(measured))]
+    if (
+        steady
+        and edges.enough(measured)
+        and not jumped
+        and not any(finding.code == "encoder_late" for finding in findings)
+    ):
         findings += edges.late_edges(measured, time_step(trace))
-    if not findings and steady:
+    if not findings and steady and edges.enough(measured):
         findings += edges.unsteady(measured, resolution(trace, measured))
     notes += [*wiring.ring(possible, emf is not None), *edges.delays(measured)]
     return replace(

@@ -33,12 +33,16 @@ STEP, DRIFT = math.radians(0.5), math.radians(0.3)
 """rad, the smallest step, and drift in all, that are looked for."""
 BEYOND = 30.0
 """F statistic from which on a step or a drift is believed: they are looked for at every moment."""
+ABOVE = 2.0
+"""Times what is left of revolutions, rms, that a step must be."""
 LEAST_REACH = 3
 """Revolutions between the farthest places of the shaft, with which what all edges do is looked for."""
 LEAST_SIDE, WHOLE = 2, 4
 """Revolutions on either side of a step, and edges that each must have."""
 FAR = 6.0
 """Times the scatter,"""
+WILD = math.radians(25.0)
+"""rad from the median of its kind, beyond which a passage does not count at first, unless they scatter by more."""
 LEAST_FAR = math.radians(1.5)
 """but at least so far from its place lies a passage that is set aside."""
 MOST_PAIRS, REPEATS = 40, 0.3
@@ -50,8 +54,8 @@ UNLIKE = 4.0
 """Standard errors by which a delay must differ from those of the other edges, to be one of its own."""
 WELL = math.radians(1.0)
 """Standard error of a place, above which delays cannot be told from it: then none are."""
-EACH = 0.6
-"""Of what is left of edges, that single inputs' delays must leave to be told without an encoder."""
+EACH = 0.7
+"""Of the mean square that is left of edges, that delays must leave to be told without an encoder."""
 MODEL = math.radians(0.1)
 """rad to which the place of an edge is known without an encoder, whatever its scatter."""
 SLOWEST, UNEVEN = 0.15, 12.0
@@ -116,7 +120,9 @@ class EdgeFit:
     n_p: int
     """Pole pairs, by edges that repeat; 0 where that was not looked for, or not seen."""
     aside: int
-    """Passages that were far from all that."""
+    """Passages that were far from all that,"""
+    first_aside: int
+    """and how many of them came before all others."""
     speed: float
     """rad/s, mean size of the speed,"""
     fastest: float
@@ -211,7 +217,7 @@ def _repeating(at: _Passages, turn: Ints, off: Floats) -> int:
     The first number with which one half of the turns predicts the other half about as well as any does.
     """
     both = bool(np.ptp(at.up))
-    terms = _columns(at, both, 6 * varied(at.omega, at.up), True, True)
+    terms = _columns(at, both, 6 * varied(at.omega, 2 * at.edge + (at.up < 0)), True, True)
     left = _least_squares(terms, off)[1]
     near = np.abs(left) < FAR * 1.4826 * float(np.median(np.abs(left)))
     edge, turn, left = at.edge[near], turn[near], left[near]
@@ -354,11 +360,11 @@ def _base(up: Floats, omega: Floats, pair: Ints, pairs: int) -> Floats:
     return np.array(columns).T
 
 
-def varied(omega: Floats, up: Ints | Floats) -> bool:
-    """Whether speeds differ enough, apart from their direction, that a delay shows."""
+def varied(omega: Floats, kind: Ints | Floats) -> bool:
+    """Whether speeds differ enough within each kind that a delay shows."""
     size = np.abs(omega)
-    both = [size[up * way > 0] for way in (1, -1)]
-    off = np.concatenate([one - one.mean() for one in both if len(one)])
+    which = np.unique(kind, return_inverse=True)[1]
+    off = size - (np.bincount(which, size) / np.bincount(which))[which]
     return bool(off.std() > SPREAD * math.sqrt(float(np.mean(size**2))))
 
 
@@ -391,7 +397,10 @@ def _steps_and_drift(y: Floats, base: Floats, angle: Floats) -> tuple[list[int],
         else:
             steps.append(k)
         terms = np.hstack([terms, column[:, None]])
-    return steps, drift
+    columns = [base, *([angle[:, None]] if drift else []), *(_after(k, n)[:, None] for k in steps)]
+    weights, left = _least_squares(np.hstack(columns), y)
+    least = ABOVE * math.sqrt(float(left @ left) / max(1, n - len(weights)))
+    return [k for k, size in zip(steps, weights[len(weights) - len(steps) :], strict=True) if abs(size) > least], drift
 
 
 def _gain_of_steps(terms: Floats, left: Floats) -> tuple[Floats, Floats]:
@@ -445,8 +454,9 @@ def _single(
     y = wrap(off - middle)
     kind = 2 * at.edge + (at.up < 0)
     both, blind = bool((at.up > 0).any() and (at.up < 0).any()), blind_tick_hz > 0.0
-    timed = varied(at.omega, at.up)
-    each = timed and (_each_late(at, y, both) if blind else _apart_late(at, y, both, pair, pairs))
+    timed = varied(at.omega, kind) and float(np.ptp(at.angle)) > LEAST_REACH * math.tau
+    each = timed and (_better(at, y, both, 1, 6) if blind else _apart_late(at, y, both, pair, pairs))
+    timed = timed and (not blind or _better(at, y, both, 0, 1))
     for delays, swings in [(6, blind)] * each + [(1, blind), (1, False)] * timed + [(0, False)]:
         terms = _columns(at, both, delays, swings, blind)
         weights, left, good, own = _settled(at, y, terms, pair, pairs)
@@ -471,7 +481,8 @@ def _single(
     return EdgeFit(
         np.where(met, wrap(known), math.nan), hysteresis, delay, place_sd, hysteresis_sd, delay_sd,
         jitter.reshape(SECTORS, 2), n.reshape(SECTORS, 2), own, apart,
-        common, 0, int(np.count_nonzero(~good)), float(speed.mean()), float(np.quantile(speed, 0.95)),
+        common, 0, int(np.count_nonzero(~good)), int(np.argmax(np.append(good, True))),
+        float(speed.mean()), float(np.quantile(speed, 0.95)),
     )  # fmt: skip
 
 
@@ -480,7 +491,8 @@ def _settled(
 ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
     """Weights of the columns, what is left (m,), which passages count, and what each pole pair adds (6, pairs)."""
     kind, slot = 2 * at.edge + (at.up < 0), at.edge * pairs + pair
-    good = np.abs(wrap(y - _medians(y, kind, 2 * SECTORS)[kind])) < math.radians(45.0)
+    off = np.abs(wrap(y - _medians(y, kind, 2 * SECTORS)[kind]))
+    good = off <= np.maximum(FAR * 1.4826 * _medians(off, kind, 2 * SECTORS), WILD)[kind]
     own = np.zeros((SECTORS, pairs))
     for _ in range(3):
         weights, _ = _least_squares(terms[good], (y - own[at.edge, pair])[good])
@@ -517,12 +529,12 @@ def _columns(at: _Passages, both: bool, delays: int, swings: bool, blind: bool) 
     return np.hstack(columns)
 
 
-def _each_late(at: _Passages, y: Floats, both: bool) -> bool:
-    """Whether single inputs are late: only where that explains much more, for a speed that swings does some of it."""
+def _better(at: _Passages, y: Floats, both: bool, few: int, more: int) -> bool:
+    """Whether more delays explain much more, without an encoder: a speed that swings does some of it."""
     rest = []
-    for delays in (1, 6):
-        left = _least_squares(_columns(at, both, delays, True, True), y)[1]
-        rest.append(float(np.median(np.abs(left))))
+    for delays in (few, more):
+        left = np.abs(_least_squares(_columns(at, both, delays, True, True), y)[1])
+        rest.append(float(np.mean(np.minimum(left, FAR * float(np.median(left))) ** 2)))
     return rest[1] < EACH * rest[0]
 
 

@@ -28,16 +28,18 @@ RETURNS, EVEN_RETURNS, BLIND_RETURNS = math.radians(75.0), math.radians(25.0), m
 """rad that the shaft may have gone when an input is back, with an encoder and without: edges of one input are more than
 120 deg apart, wherever sensors of motors were found. Without one, a shaft that rocks goes back by a fifth of a sector,
 but not among sectors that last about alike."""
+CHAIN = 4
+"""Returns in a row that may belong to one edge, besides the first."""
 EVEN = 1.4
 """Times the quickest of three sectors, that the slowest lasts where they are about alike."""
 NEAR = math.radians(15.0)
 """rad from an edge of the same input within which a return is at that edge."""
-BY_CHANCE = 2.0 * NEAR / math.pi
-"""Share of returns at any place that lie so near to an edge."""
 STOPPED = 0.02
 """Ratio of encoder to sectors, below which the encoder does not turn."""
 ALIKE = 0.1
 """By which that ratio may differ from one where encoder and sectors turn alike."""
+UNSURE = 0.03
+"""Scatter of that ratio, as a share of it, above which it is no better than one."""
 PAUSE = 3.0
 """Times the quicker of the two beside it, that a sector lasts in which the shaft stood."""
 
@@ -133,7 +135,8 @@ def read(edges: Edges, tick_hz: float) -> Inputs:
     inverted = usual(edges)
     net = net_sectors(edges, inverted)
     ratio, scatter = _ratio(edges.theta[net.at], net.sectors)
-    if not abs(abs(ratio) - 1.0) < ALIKE and _half_turns(edges) >= 2:  # the third input misses edges
+    unsure = scatter > UNSURE and abs(math.log2(max(abs(ratio), 0.1))) < 1.0  # pulses hide it
+    if unsure or (not abs(abs(ratio) - 1.0) < ALIKE and _half_turns(edges) >= 2):  # or an input misses edges
         ratio = math.copysign(1.0, ratio)
     if abs(ratio) > STOPPED:
         omega, most = edges.omega / ratio, np.full(len(edges.tick), RETURNS)
@@ -254,16 +257,16 @@ def _settled(t: Floats, high: Bools, omega: Floats, stretch: Ints, most: Floats)
     return stays, np.concatenate(first), np.concatenate(second)
 
 
-def bouncing(at_edge: int, n: int) -> bool:
-    """Whether more of n returns lie at edges than would by chance."""
-    expected = BY_CHANCE * n
-    return at_edge > expected + 3.0 * math.sqrt(expected)
+def bouncing(returns: Returns, which: Bools) -> bool:
+    """Whether more of these returns lie at edges than would by chance, wherever they came."""
+    expected = float(np.minimum((2.0 * NEAR + returns.travel[which]) / math.pi, 1.0).sum())
+    return float(np.count_nonzero(returns.at_edge[which])) > expected + 3.0 * math.sqrt(expected)
 
 
 def _first_of_bounces(one: Changes, stays: Ints, first: Ints, returns: Returns, tick_hz: float) -> Ints:
     """The changes that stay, those of an input that bounces moved to where the level first came."""
     near = returns.at_edge & (returns.travel < NEAR)
-    if not bouncing(int(np.count_nonzero(near)), len(returns)):
+    if not bouncing(returns, returns.travel < NEAR):
         return stays
     early = np.sort(first[near])
     reach = NEAR / np.maximum(np.abs(one.omega[stays]), 1e-9) * tick_hz
@@ -285,6 +288,12 @@ def _returned(one: Changes, stays: Ints, first: Ints, second: Ints, tick_hz: flo
         left = np.abs(one.tick[first] - kept[np.maximum(after - 1, 0)])
         right = np.abs(kept[np.minimum(after, len(kept) - 1)] - one.tick[second])
         apart = np.minimum(left, right) / tick_hz * size
+    order = np.argsort(one.tick[first], kind="stable")
+    lasted = np.maximum(width[order[1:]], width[order[:-1]]) * size[order[1:]]
+    gap = (one.tick[first[order[1:]]] - one.tick[second[order[:-1]]]) / tick_hz * size[order[1:]]
+    for _ in range(CHAIN):  # one after a return at an edge is at it, too
+        after = order[1:][(gap < np.minimum(NEAR, 2.0 * lasted)) & (apart[order[:-1]] < NEAR)]
+        apart[after] = 0.0
     return Returns(
         one.input[first], one.high[first], one.tick[first], width, width * size, apart < NEAR, current[first]
     )  # fmt: skip

@@ -106,7 +106,7 @@ def _bouncing(returns: Returns, short: Bools) -> Bools:
         own = short & (returns.input == number)
         n, near, high = (int(np.count_nonzero(own & which)) for which in (own, returns.at_edge, returns.high))
         both_ways = ONE_WAY * n < high < (1.0 - ONE_WAY) * n
-        found[number] = bouncing(near, n) and (both_ways or near > (1.0 - 2.0 * ONE_WAY) * n)
+        found[number] = bouncing(returns, own) and (both_ways or near > (1.0 - 2.0 * ONE_WAY) * n)
     return found
 
 
