@@ -61,6 +61,8 @@ MODEL = math.radians(0.1)
 SLOWEST, UNEVEN = 0.15, 12.0
 """Of the fast revolutions, below which slow ones count for nothing; and revolutions a second at which a driven motor is
 uneven by more than 5 deg within each."""
+MOST, ROW = 50_000, 360
+"""Passages that are fitted at most, and how many in a row."""
 VISITS = 3.0
 """Passages of each edge of a turn of the shaft, in the mean, with which pole pairs are told apart."""
 
@@ -152,7 +154,7 @@ def fitted(inputs: Inputs, ratio: float, n_p: int | None) -> EdgeFit | None:
 
     None without passages.
     """
-    at = _passages(inputs, ratio)
+    at = _some(_passages(inputs, ratio))
     if len(at.edge) < SECTORS:
         return None
     pairs = _told_apart(n_p, at)
@@ -164,6 +166,13 @@ def fitted(inputs: Inputs, ratio: float, n_p: int | None) -> EdgeFit | None:
         found = _single(at, at.off - moved, turn % pairs, pairs, common, pairs == n_p)
         own = _of_their_own(at, found, turn % pairs)
     return found
+
+
+def _some(at: _Passages) -> _Passages:
+    """Of more than `MOST` passages some in a row each, evenly spread."""
+    every = -(-len(at.edge) // MOST) or 1
+    use = np.arange(len(at.edge)) // ROW % every == 0
+    return at if every == 1 else _Passages(*(column[use] for column in at))
 
 
 def _of_their_own(at: _Passages, found: EdgeFit, pair: Ints) -> Floats:
@@ -202,10 +211,11 @@ def fitted_blind(inputs: Inputs, tick_hz: float, n_p: int | None) -> EdgeFit | N
     at = at._replace(angle=SECTOR_WIDTH * passed.astype(np.float64))
     use, off, omega = _against_revolution(at.tick / tick_hz, passed, at.up)
     at = _Passages(at.edge[use], at.up[use], at.input[use], at.falls[use], at.tick[use], at.angle[use], omega, off)
+    at = _some(at)
     if len(at.edge) < 2 * SECTORS:
         return None
     pairs = _told_apart(n_p, at) if n_p else 1
-    turn = passed[use] // SECTORS
+    turn = np.round(at.angle / SECTOR_WIDTH).astype(np.int64) // SECTORS
     if n_p is None and (seen := _repeating(at, turn, off)):
         return replace(_single(at, off, turn % seen, seen, NOTHING, True, tick_hz), n_p=seen)
     return _single(at, off, turn % pairs, pairs, NOTHING, pairs == n_p, tick_hz)
