@@ -36,7 +36,7 @@ SLOPE = 8e-3
 """s on either side of a sample over which the speed is taken."""
 AROUND = 2.0 * SLOPE
 """s on either side of a piece, from which the speed at its ends is told."""
-MOST, MOST_EDGES, BLOCK = 500_000, 300_000, 60
+MOST, MOST_EDGES, BLOCK = 500_000, 1_000_000, 60
 """Samples and edges that are measured from at most; of more edges so many in a row are taken."""
 INPUTS = "abc"
 
@@ -195,6 +195,11 @@ class Trace:
         """rad between two angles that the encoder knows; 0 without one."""
         theta = np.unique(np.round(self.some.theta % math.tau, 4))
         return float(np.median(np.diff(theta))) if self.encoder and 2 < len(theta) < len(self.some.theta) / 2 else 0.0
+
+    @property
+    def seconds_of_edges(self) -> float:
+        """Time that the edges are of: all of it, but where of more than `MOST_EDGES` some are taken."""
+        return self.seconds / self._every_block
 
     @property
     def seconds(self) -> float:
