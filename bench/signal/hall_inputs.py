@@ -30,6 +30,8 @@ RETURNS, EVEN_RETURNS, BLIND_RETURNS = math.radians(75.0), math.radians(25.0), m
 but not among sectors that last about alike."""
 EVEN = 1.4
 """Times the quickest of three sectors, that the slowest lasts where they are about alike."""
+SWAYS = 15.0
+"""Electrical rad/s below which no sectors are alike: a driven shaft may sway there and its sectors last alike."""
 NEAR = math.radians(15.0)
 """rad from an edge of the same input within which a return is at that edge."""
 BY_CHANCE = 2.0 * NEAR / math.pi
@@ -232,7 +234,7 @@ def speed_by_sectors(t: Floats, net: Net) -> tuple[Floats, Bools]:
     gone = np.diff(net.sectors)
     ways = np.sign([gone[inside - 1], gone[inside], gone[inside + 1]])
     steady = (np.abs(ways.sum(axis=0)) == 3) & (lasts[inside] < PAUSE * np.minimum(around[0], around[2]))
-    even = steady & (around.max(axis=0) < EVEN * around.min(axis=0))
+    even = steady & (around.max(axis=0) < EVEN * around.min(axis=0)) & (around.min(axis=0) < SECTOR_WIDTH / SWAYS)
     return np.where(steady, ways[0] * SECTOR_WIDTH / around.min(axis=0), 0.0), even
 
 
