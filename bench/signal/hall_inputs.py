@@ -121,13 +121,27 @@ class Inputs:
     @property
     def turns(self) -> tuple[float, float]:
         """Electrical revolutions by the sectors, in the order of the codes and against it."""
-        steps = np.diff(self.net.sectors)
+        steps = np.diff(self.net.sectors, prepend=0)
         return float(steps[steps > 0].sum()) / SECTORS, float(-steps[steps < 0].sum()) / SECTORS
 
     @property
     def reach(self) -> float:
         """Electrical revolutions between the farthest places that the shaft was at."""
         return float(np.ptp(self.net.sectors)) / SECTORS if len(self.net.sectors) else 0.0
+
+    @property
+    def steps(self) -> Ints:
+        """(m,) sectors gone at each change, with their sign, those of a shaft that sways too."""
+        changes, code, n = self.changes, np.full(len(self.changes) + 1, self.inverted), np.arange(len(self.changes))
+        for number in range(3):
+            own = np.flatnonzero(changes.input == number)
+            if len(own):
+                last = np.searchsorted(own, n, "right") - 1
+                levels = np.where(last < 0, ~changes.high[own[0]], changes.high[own[last]])
+                code[1:] ^= levels.astype(np.int64) << number
+                code[0] ^= int(not changes.high[own[0]]) << number
+        gone: Ints = steps_between(code[:-1], code[1:]).astype(np.int64)
+        return gone
 
 
 def read(edges: Edges, tick_hz: float) -> Inputs:
