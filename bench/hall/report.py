@@ -237,6 +237,7 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
     """All of it as plain data; unknown values are null."""
     measured, turns, emf, wiring, found = health.measured, health.turns, health.emf, health.wiring, health.pulses
     up, down, turned_round = _steps(measured.inputs.steps)
+    slowest, fastest = (math.nan,) * 2 if measured.fit is None else (measured.fit.slowest, measured.fit.fastest)
     return {
         "source": source,
         "outcome": OUTCOMES[health.verdict],
@@ -252,6 +253,7 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
         "turns_down": turns.down,
         "turns_net": (up - down) / SECTORS,
         "steps": {"up": up, "down": down, "reversals": turned_round},
+        "omega_rad_s": {"slowest": _plain(slowest), "fastest": _plain(fastest)},
         "n_p": turns.n_p,
         "n_p_by_hall": None if turns.n_p is None else _plain(turns.n_p * turns.ratio),
         "n_p_by_edges": (measured.fit.n_p if measured.fit is not None else 0) or None,

@@ -270,6 +270,13 @@ def test_captures_of_one_motor_agree_within_their_errors(motor: Motor, way: int)
         assert len(found) == 2 or (len(found) == 6 and per_freedom > 0.1), (k, per_freedom)
 
 
+def test_the_table_in_the_docs_is_what_the_check_says() -> None:
+    from docs import make_real_halls
+
+    old = make_real_halls.PAGE.read_text()
+    assert make_real_halls.page(old, make_real_halls.table()) == old
+
+
 def test_the_command_tells_the_same_of_a_recording(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
