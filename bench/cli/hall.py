@@ -241,16 +241,11 @@ def _show(
             return health
     pairs(f"Hall sensors of {source}", report.fact_rows(health, looked_at, found.turned))
     echo()
-    for headers, rows, title in (
-        (report.EDGE_HEADERS, report.edge_rows(health), report.EDGE_TITLE),
-        (report.SENSOR_HEADERS, report.sensor_rows(health, looked_at.seconds), ()),
-        (report.CURRENT_HEADERS, report.current_rows(health), ()),
-    ):
-        if rows:
-            for line in title:
-                echo(line)
-            table(headers, rows)
-            echo()
+    for title, headers, rows in report.tables(health, looked_at.seconds):
+        for line in title:
+            echo(line)
+        table(headers, rows)
+        echo()
     for line in report.verdict_lines(health, found.turned.remarks):
         echo(line)
     return health

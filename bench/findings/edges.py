@@ -30,7 +30,7 @@ from bench.findings.thresholds import (
     SWINGING,
     TOLD_LATE,
 )
-from bench.signal.edge_fit import OPENS, EdgeFit
+from bench.signal.edge_fit import EACH, OPENS, EdgeFit
 from bench.signal.hall_edges import Measured
 from bench.signal.trace import INPUTS, Floats
 from bench.signal.waveforms.sectors import NUMERALS
@@ -49,10 +49,12 @@ def places(measured: Measured) -> Iterator[Finding]:
     worst = int(np.argmax(np.abs(off)))
     rest = np.delete(off, worst)
     each = abs(rest[0] - rest[1]) / 2.0 > DISPLACED  # else they stand right, and the mean is off by the one
+    at_one_speed = bool(np.isnan(fit.delay).all()) and measured.blind
+    withins, duties = measured.placement_half_width[0], measured.duty_half_width * math.pi
     for number, name in enumerate(INPUTS):
         both = [OPENS.index((number, rises)) for rises in (True, False)]
         edges = " and ".join(NUMERALS[edge] for edge in sorted(both))
-        within = 2.0 * float(np.sqrt(np.sum(fit.place_sd[both] ** 2))) / 2.0
+        within = float(withins[number])
         told = "; ".join(f"{other} {degrees(float(by))}" for other, by in zip(INPUTS, off, strict=True))
         if abs(off[number]) - within > DISPLACED and (each or number == worst):
             others = 1.5 * float(off[number])
@@ -62,12 +64,15 @@ def places(measured: Measured) -> Iterator[Finding]:
                 (f"from the mean of the three: {told} (95 % to {degrees(within, 2)})",),
                 f"move sensor {name} by {degrees(-others)}, or let the drive learn its edges (bench hall learn)",
             )
-        if abs(uneven[number]) - within > DISPLACED:
+        if abs(uneven[number]) - duties[number] > DISPLACED:
+            late = ("falling" if uneven[number] > 0.0 else "rising") if at_one_speed else ""
             yield Finding(
                 "duty",
-                f"sensor {name} is 1 over {percent(measured.duty[number])} of a revolution",
+                f"sensor {name} is 1 over {percent(measured.duty[number])} of a revolution"
+                + (f", or its {late} edges come late" if late else ""),
                 (f"its edges {edges} lie {degrees(float(uneven[number]))} from where they belong, to either side",),
-                f"look at the magnet in front of sensor {name}, its distance and its threshold",
+                f"look at the magnet in front of sensor {name}, its distance and its threshold"
+                + ("; with the shaft at two speeds the check tells which" if late else ""),
             )
 
 
@@ -119,10 +124,10 @@ def late_edges(measured: Measured, step: float) -> Iterator[Finding]:
     after = _late(fit, measured.blind) - step
     sure = after - SURE * fit.delay_sd
     which = (sure > LATE_EDGES) & (sure * fit.fastest > SCATTER) | (sure * fit.fastest > DISPLACED)
-    if which.any():
+    if which.any() and (not measured.blind or fit.unexplained < EACH):
         yield Finding(
             "late_edges",
-            f"{_kinds(which)} come up to {1e6 * float(after[which].max()):.0f} us late",
+            f"{_kinds(which)} come up to {1e6 * float(_late(fit, measured.blind)[which].max()):.0f} us late",
             (_each_late(fit, measured.blind),),
             "look at the pull-ups and the filters of these inputs: an open collector falls sharply and rises late",
         )
@@ -140,10 +145,17 @@ def _kinds(which: NDArray[np.bool_]) -> str:
 
 
 def _each_late(fit: EdgeFit, blind: bool) -> str:
+    apart, most = fit.delay[:, 0] - fit.delay[:, 1], degrees(float(_late(fit, blind).max()) * fit.fastest)
+    if blind and np.ptp(apart) == 0.0:
+        first, then = ("rising", "falling") if apart[0] > 0.0 else ("falling", "rising")
+        within = 4e6 * float(fit.delay_sd[0, 0])
+        return (
+            f"{first} edges come {1e6 * abs(float(apart[0])):.0f} us later than {then} ones (95 % to {within:.0f} us): "
+            f"{most} at the fastest"
+        )
     told = "; ".join(
         f"{name} {1e6 * rise:.0f} and {1e6 * fall:.0f} us" for name, (rise, fall) in zip(INPUTS, fit.delay, strict=True)
     )
-    most = degrees(float(_late(fit, blind).max()) * fit.fastest)
     return (
         f"rising and falling edges are late by: {told} (95 % to {2e6 * float(fit.delay_sd.max()):.0f} us), against "
         f"{'their mean' if blind else 'the encoder'}: {most} at the fastest"

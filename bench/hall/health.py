@@ -11,6 +11,7 @@ Nothing here talks to a drive or prints.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -124,7 +125,7 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
         findings += edges.late_edges(measured, time_step(trace))
     if not findings and steady and edges.enough(measured):
         findings += edges.unsteady(measured, resolution(trace, measured))
-    notes += [*wiring.ring(possible, emf is not None), *edges.delays(measured)]
+    notes += [*wiring.ring(possible, emf is not None), *_delays(measured, findings)]
     return replace(
         health, findings=tuple(findings), missing=tuple(_thin(turns, measured)), notes=tuple(notes), emf=emf,
         delays=delays, wiring=_explained(trace, measured, since),
@@ -139,10 +140,15 @@ def _blind(trace: Trace, health: Health, steady: bool) -> Health:
         findings += [*edges.places(measured), *edges.late_edges(measured, time_step(trace))]
         findings += [] if findings else edges.unsteady(measured, resolution(trace, measured))
     missing = (
-        "no encoder was recorded: without one, exchanged wires and the angle of the ring are not known; the sensors "
-        "were judged against each other; record theta_enc, or fit an encoder for the check",
+        "no encoder was recorded: without one, exchanged wires, the angle of the ring and a delay that all edges share "
+        "are not known; the sensors were judged against each other; record theta_enc, or fit an encoder for the check",
     )
-    return replace(health, findings=tuple(findings), missing=missing, notes=tuple(edges.delays(measured)))
+    return replace(health, findings=tuple(findings), missing=missing, notes=_delays(measured, findings))
+
+
+def _delays(measured: Measured, findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Edges that come late, unless a finding says so."""
+    return () if any(finding.code == "late_edges" for finding in findings) else tuple(edges.delays(measured))
 
 
 def _explained(trace: Trace, measured: Measured, since: int) -> Diagnosis | None:

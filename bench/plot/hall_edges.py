@@ -57,7 +57,8 @@ def as_json(of: Measured) -> dict[str, Any]:
 def words(of: Measured) -> str:
     """What the figure says, in a line."""
     late = (-math.degrees(edge.mean_delta) for edge in of.edges)
-    return f"late by {', '.join('–' if math.isnan(each) else f'{each:+.2f}' for each in late)} el. ° (I … VI)"
+    ring = f"ring at {math.degrees(of.edges[0].offset):.1f}°, " if of.edges[0].offset else ""
+    return f"{ring}late by {', '.join('–' if math.isnan(each) else f'{each:+.2f}' for each in late)} el. ° (I … VI)"
 
 
 def draw(of: Measured) -> Figure:

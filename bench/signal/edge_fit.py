@@ -47,9 +47,9 @@ LEAST_FAR = math.radians(1.5)
 """but at least so far from its place lies a passage that is set aside."""
 MOST_PAIRS, REPEATS = 40, 0.3
 """Pole pairs that are looked for, and the share of the scatter that must repeat with each turn of the shaft then."""
-SWINGS = 20.0
-"""Electrical revolutions a second, at which the speed of a driven motor swings by a degree or so once in each of them:
-as 1/v^2, seen in recordings of real motors."""
+SWINGS, SWING = 20.0, math.radians(1.0)
+"""Electrical revolutions a second, at which the speed of a driven motor swings once in each of them, and by how much,
+sine and cosine rms: as 1/v^2, seen in recordings of real motors."""
 UNLIKE = 4.0
 """Standard errors by which a delay must differ from those of the other edges, to be one of its own."""
 WELL = math.radians(1.0)
@@ -58,6 +58,8 @@ EACH = 0.7
 """Of the mean square that is left of edges, that delays must leave to be told without an encoder."""
 MODEL = math.radians(0.1)
 """rad to which the place of an edge is known without an encoder, whatever its scatter."""
+CHANGES = 0.02
+"""Share by which the delay of a pull-up changes with speed, where no encoder shows it."""
 SLOWEST, UNEVEN = 0.15, 12.0
 """Of the fast revolutions, below which slow ones count for nothing; and revolutions a second at which a driven motor is
 uneven by more than 5 deg within each."""
@@ -106,10 +108,10 @@ class EdgeFit:
     """(6,) rad, passed upwards minus downwards."""
     delay: Floats
     """(3, 2) s by which rising and falling edges of each input are seen late, against the encoder."""
-    place_sd: Floats
-    """Standard errors of the three."""
-    hysteresis_sd: Floats
+    covariance: Floats
+    """(12, 12) rad^2 of places and hysteresis; 0 where these are not known."""
     delay_sd: Floats
+    """Standard errors."""
     jitter: Floats
     """(6, 2) rad, upwards and downwards, what is left."""
     n: Ints
@@ -125,15 +127,35 @@ class EdgeFit:
     """Passages that were far from all that,"""
     first_aside: int
     """and how many of them came before all others."""
+    unexplained: float
+    """Share of the mean square of edges that delays leave; 1 where none were fitted."""
     speed: float
     """rad/s, mean size of the speed,"""
+    slowest: float
+    """and that which a twentieth of the edges does not reach,"""
     fastest: float
-    """and that which a twentieth of the edges exceeds."""
+    """and that which a twentieth exceeds."""
 
     @property
     def passages(self) -> int:
         """All that were used."""
         return int(self.n.sum())
+
+    @property
+    def place_sd(self) -> Floats:
+        """Standard errors of the places, rad (6,)."""
+        return np.sqrt(np.diag(self.covariance)[:SECTORS])
+
+    @property
+    def hysteresis_sd(self) -> Floats:
+        """Standard errors of the hysteresis, rad (6,)."""
+        return np.sqrt(np.diag(self.covariance)[SECTORS:])
+
+    def sd(self, weights: Floats) -> Floats:
+        """Standard errors, rad (k,), of sums of places, or of places and hysteresis, with weights (k, 6) or (k, 12)."""
+        known = self.covariance[: weights.shape[1], : weights.shape[1]]
+        errors: Floats = np.sqrt(np.sum(weights @ known * weights, axis=1))
+        return errors
 
 
 class _Passages(NamedTuple):
@@ -234,7 +256,7 @@ def _repeating(at: _Passages, turn: Ints, off: Floats) -> int:
     told = {}
     for n in range(1, MOST_PAIRS + 1):
         slot, half = edge + SECTORS * (turn % n), turn // n % 2 == 0
-        if len(left) < 4 * VISITS * SECTORS * n:
+        if len(left) < 2 * VISITS * SECTORS * n:
             break
         rest = 0.0
         for which in (half, ~half):
@@ -430,23 +452,23 @@ def _after(k: int, n: int) -> Floats:
     return (np.arange(n) >= k).astype(np.float64)
 
 
-def _least_squares(terms: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """The weights of columns (m, p) that come nearest to `y`, and what is left; those that others make up get none."""
-    size = np.sqrt(np.sum(terms**2, axis=0))
-    size[size == 0.0] = 1.0
-    scaled = terms / size
-    weights = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True) @ (scaled.T @ y) / size
+def _least_squares(terms: Floats, y: Floats, trust: Floats | float = 1.0) -> tuple[Floats, Floats]:
+    """The weights of columns (m, p) that come nearest to `y`, and what is left; those that others make up get none.
+
+    `trust` (m,): weights of the squares.
+    """
+    weights = _inverse(terms, trust) @ (terms.T @ (trust * y))
     return weights, y - terms @ weights
 
 
-def _covariance(terms: Floats, middle: Floats) -> Floats:
-    """Standard errors (p,) of weights of columns (m, p); `middle` (p, p): squares of columns times what is left."""
-    size = np.sqrt(np.sum(terms**2, axis=0))
+def _inverse(terms: Floats, trust: Floats | float = 1.0) -> Floats:
+    """(p, p), of the squares of columns (m, p), with 0 for what others make up."""
+    weighted = terms * np.reshape(trust, (-1, 1))
+    size = np.sqrt(np.sum(terms * weighted, axis=0))
     size[size == 0.0] = 1.0
-    inverse = np.linalg.pinv((terms / size).T @ (terms / size), rcond=1e-10, hermitian=True)
-    squares = np.diag(inverse @ (middle / np.outer(size, size)) @ inverse)
-    errors: Floats = np.sqrt(np.maximum(squares, 0.0)) / size
-    return errors
+    scale = np.outer(size, size)
+    inverse: Floats = np.linalg.pinv(terms.T @ weighted / scale, rcond=1e-10, hermitian=True) / scale
+    return inverse
 
 
 # -- what single edges do ------------------------------------------------------------------------------------------
@@ -465,47 +487,56 @@ def _single(
     kind = 2 * at.edge + (at.up < 0)
     both, blind = bool((at.up > 0).any() and (at.up < 0).any()), blind_tick_hz > 0.0
     timed = varied(at.omega, kind) and float(np.ptp(at.angle)) > LEAST_REACH * math.tau
-    each = timed and (_better(at, y, both, 1, 6) if blind else _apart_late(at, y, both, pair, pairs))
-    timed = timed and (not blind or _better(at, y, both, 0, 1))
+    trust = np.abs(at.omega) ** (-2.0 * blind)
+    each = timed and (_left(at, y, both, 1, 6) < EACH if blind else _apart_late(at, y, both, pair, pairs))
+    unexplained = _left(at, y, both, 0, 6 if each else 1) if timed else 1.0
     for delays, swings in [(6, blind)] * each + [(1, blind), (1, False)] * timed + [(0, False)]:
         terms = _columns(at, both, delays, swings, blind)
-        weights, left, good, own = _settled(at, y, terms, pair, pairs)
+        weights, left, good, own = _settled(at, y, terms, pair, pairs, trust)
         if blind:
-            error = _errors_of_stretches(terms[good], left[good], at.tick[good] / blind_tick_hz)
-            error[:SECTORS] = np.hypot(error[:SECTORS], MODEL)
+            covariance = _by_stretches(terms[good], left[good], trust[good], at.tick[good] / blind_tick_hz)
         else:
-            error = _errors(terms[good], left[good], kind[good])
+            covariance = _by_kind(terms[good], left[good], kind[good])
         n_good = int(np.count_nonzero(good))
         freedom = max(1, n_good - terms.shape[1] - SECTORS * (pairs - 1))
-        error *= math.sqrt(n_good / freedom)
-        if error[:SECTORS].max() < WELL:
+        covariance *= n_good / freedom
+        if np.diag(covariance)[:SECTORS].max() < WELL**2:
             break
+    if blind:
+        covariance[:SECTORS, :SECTORS] += _unknown(at.omega[good], swings)
     place, hysteresis, delay = _apart(weights, both, delays, blind)
-    place_sd, hysteresis_sd, delay_sd = _apart(error, both, delays, blind, sign=1.0)
+    delay_sd = _apart(np.sqrt(np.diag(covariance)), both, delays, blind, sign=1.0)[2]
+    delay_sd = np.hypot(delay_sd, delay * CHANGES * blind)
+    known = 2 * SECTORS if both else SECTORS
+    of_edges = np.zeros((2 * SECTORS, 2 * SECTORS))
+    of_edges[:known, :known] = covariance[:known, :known]
     n = np.bincount(kind[good], minlength=2 * SECTORS)
     square = np.bincount(kind[good], left[good] ** 2, minlength=2 * SECTORS)
     jitter = np.sqrt(square / np.where(n > 1, n, math.nan) * n_good / freedom)
     speed = np.abs(at.omega)
-    known = place + middle + SECTOR_WIDTH * np.arange(SECTORS)
+    lies = wrap(place + middle + SECTOR_WIDTH * np.arange(SECTORS))
     met = n.reshape(SECTORS, 2).sum(axis=1) > 0
     return EdgeFit(
-        np.where(met, wrap(known), math.nan), hysteresis, delay, place_sd, hysteresis_sd, delay_sd,
-        jitter.reshape(SECTORS, 2), n.reshape(SECTORS, 2), own, apart,
-        common, 0, int(np.count_nonzero(~good)), int(np.argmax(np.append(good, True))),
-        float(speed.mean()), float(np.quantile(speed, 0.95)),
+        np.where(met, lies, math.nan), hysteresis, delay, of_edges, delay_sd, jitter.reshape(SECTORS, 2),
+        n.reshape(SECTORS, 2), own, apart, common, 0, int(np.count_nonzero(~good)),
+        int(np.argmax(np.append(good, True))), unexplained, float(speed.mean()),
+        *(float(np.quantile(speed, share)) for share in (0.05, 0.95)),
     )  # fmt: skip
 
 
 def _settled(
-    at: _Passages, y: Floats, terms: Floats, pair: Ints, pairs: int
+    at: _Passages, y: Floats, terms: Floats, pair: Ints, pairs: int, trust: Floats
 ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-    """Weights of the columns, what is left (m,), which passages count, and what each pole pair adds (6, pairs)."""
+    """Weights of the columns, what is left (m,), which passages count, and what each pole pair adds (6, pairs).
+
+    `trust` (m,): weights of the squares.
+    """
     kind, slot = 2 * at.edge + (at.up < 0), at.edge * pairs + pair
     off = np.abs(wrap(y - _medians(y, kind, 2 * SECTORS)[kind]))
     good = off <= np.maximum(FAR * 1.4826 * _medians(off, kind, 2 * SECTORS), WILD)[kind]
     own = np.zeros((SECTORS, pairs))
     for _ in range(3):
-        weights, _ = _least_squares(terms[good], (y - own[at.edge, pair])[good])
+        weights, _ = _least_squares(terms[good], (y - own[at.edge, pair])[good], trust[good])
         left = y - terms @ weights
         if pairs > 1:
             count = np.maximum(np.bincount(slot[good], minlength=SECTORS * pairs), 1)
@@ -539,21 +570,22 @@ def _columns(at: _Passages, both: bool, delays: int, swings: bool, blind: bool) 
     return np.hstack(columns)
 
 
-def _better(at: _Passages, y: Floats, both: bool, few: int, more: int) -> bool:
-    """Whether more delays explain much more, without an encoder: a speed that swings does some of it."""
+def _left(at: _Passages, y: Floats, both: bool, few: int, more: int) -> float:
+    """What more delays leave of the mean square, without an encoder: a speed that swings explains some of it."""
     rest = []
     for delays in (few, more):
         left = np.abs(_least_squares(_columns(at, both, delays, True, True), y)[1])
         rest.append(float(np.mean(np.minimum(left, FAR * float(np.median(left))) ** 2)))
-    return rest[1] < EACH * rest[0]
+    return rest[1] / max(rest[0], 1e-12)
 
 
 def _apart_late(at: _Passages, y: Floats, both: bool, pair: Ints, pairs: int) -> bool:
     """Whether the inputs' delays differ beyond doubt, with an encoder."""
     kind = 2 * at.edge + (at.up < 0)
     terms = _columns(at, both, SECTORS, False, False)
-    weights, left, good, _ = _settled(at, y, terms, pair, pairs)
-    delay, error = weights[-SECTORS:], _errors(terms[good], left[good], kind[good])[-SECTORS:]
+    weights, left, good, _ = _settled(at, y, terms, pair, pairs, np.ones(len(y)))
+    error = np.sqrt(np.diag(_by_kind(terms[good], left[good], kind[good])))[-SECTORS:]
+    delay = weights[-SECTORS:]
     sure = 1.0 / np.maximum(error, 1e-9) ** 2
     return bool((np.abs(delay - np.sum(delay * sure) / np.sum(sure)) > UNLIKE * error).any())
 
@@ -571,18 +603,27 @@ def _apart(weights: Floats, both: bool, delays: int, blind: bool, sign: float = 
     return weights[:SECTORS], hysteresis, late
 
 
-def _errors(terms: Floats, left: Floats, kind: Ints) -> Floats:
-    """Standard errors of the weights (p,), rad or s; each kind of passage scatters by its own."""
+def _by_kind(terms: Floats, left: Floats, kind: Ints) -> Floats:
+    """Covariance of the weights (p, p); each kind of passage scatters by its own."""
     scatter = np.bincount(kind, left**2, minlength=2 * SECTORS) / np.maximum(
         np.bincount(kind, minlength=2 * SECTORS) - 1, 1
     )
-    return _covariance(terms, (terms * scatter[kind][:, None]).T @ terms)
+    inverse = _inverse(terms)
+    return inverse @ ((terms * scatter[kind][:, None]).T @ terms) @ inverse
 
 
-def _errors_of_stretches(terms: Floats, left: Floats, t: Floats) -> Floats:
-    """Standard errors of the weights (p,), where what is left of one edge is like that of those around it."""
+def _by_stretches(terms: Floats, left: Floats, trust: Floats, t: Floats) -> Floats:
+    """Covariance of the weights (p, p), where what is left of one edge is like that of those around it."""
     long = max(1.0, float(np.ptp(t)) / 40.0)
     stretch = np.floor((t - t[0]) / long).astype(np.int64)
     sums = np.zeros((int(stretch[-1]) + 1, terms.shape[1]))
-    np.add.at(sums, stretch, terms * left[:, None])
-    return _covariance(terms, sums.T @ sums)
+    np.add.at(sums, stretch, terms * (trust * left)[:, None])
+    inverse = _inverse(terms, trust)
+    return inverse @ (sums.T @ sums) @ inverse
+
+
+def _unknown(omega: Floats, swings: bool) -> Floats:
+    """Covariance (6, 6) of places without an encoder that no scatter shows; `swings`: whether the swing was fitted."""
+    angle = SECTOR_WIDTH * np.arange(SECTORS)
+    swing = 0.0 if swings else SWING * float(np.average((math.tau * SWINGS / omega) ** 2, weights=omega**-2.0))
+    return MODEL**2 * np.eye(SECTORS) + swing**2 * np.cos(angle[:, None] - angle)

@@ -121,6 +121,42 @@ class Measured:
         """(3,) rad by which each sensor's rising edge is ahead, and its falling one behind."""
         return _by_sensor(self.fit)[1]
 
+    @property
+    def placement_each_way(self) -> Floats:
+        """(2, 3) rad, as `placement`, passed upwards and downwards; NaN where an edge was not."""
+        if self.fit is None:
+            return np.full((2, 3), math.nan)
+        half = _SENSORS @ (np.nan_to_num(self.fit.hysteresis) / 2.0)
+        met = np.where((self.fit.n.T > 0).all(axis=1), 1.0, math.nan)[:, None]
+        both: Floats = (self.placement + np.array([half, -half])) * met
+        return both if self.inputs.ratio > 0.0 or self.blind else both[::-1]
+
+    def half_width(self, weights: Floats) -> Floats:
+        """Of 95 % confidence intervals, rad (k,), of sums of places, or of places and hysteresis, with `weights`."""
+        if self.fit is None:
+            return np.full(len(weights), math.nan)
+        return _t(max(1, self.fit.passages - 1)) * self.fit.sd(weights)
+
+    @property
+    def placement_half_width(self) -> tuple[Floats, Floats]:
+        """Of 95 % confidence intervals of `placement`, and of it each way, rad (3,)."""
+        return self.half_width(_SENSORS), self.half_width(np.hstack([_SENSORS, _SENSORS / 2.0]))
+
+    @property
+    def duty_half_width(self) -> Floats:
+        """(3,) of 95 % confidence intervals of `duty`."""
+        return self.half_width(_DUTY) / math.tau
+
+    @property
+    def widths_half_width(self) -> Floats:
+        """(6,) of 95 % confidence intervals of `widths`, rad."""
+        return self.half_width(np.roll(np.eye(SECTORS), 1, axis=1) - np.eye(SECTORS))
+
+    @property
+    def ring_half_width(self) -> float:
+        """Of the 95 % confidence interval of `ring`, rad; NaN where that is not known."""
+        return math.nan if math.isnan(self.ring) else float(self.half_width(np.full((1, SECTORS), 1.0 / SECTORS))[0])
+
     def to_pandas(self) -> pd.DataFrame:
         """A row for each edge and direction: angles in electrical degrees, NaN for what is not known."""
         names = ("edge", "direction", "ideal", "late", "half_width_95", "jitter", "n")
@@ -206,6 +242,18 @@ def _by_sensor(fit: EdgeFit | None) -> tuple[Floats, Floats]:
     off = wrap(off - mean_angle(off))
     rises, falls = (off[[OPENS.index((number, high)) for number in range(3)]] for high in (True, False))
     return wrap(falls + wrap(rises - falls) / 2.0), -wrap(rises - falls) / 2.0
+
+
+def _of_sensors() -> tuple[Floats, Floats]:
+    """(3, 6) each: what places weigh in where a sensor stands against the mean of all, and in how long it is 1."""
+    rises, falls = (
+        np.array([np.arange(SECTORS) == OPENS.index((number, high)) for number in range(3)], float)
+        for high in (True, False)
+    )
+    return (rises + falls) / 2.0 - 1.0 / SECTORS, falls - rises
+
+
+_SENSORS, _DUTY = _of_sensors()
 
 
 def largest(values: Iterable[float]) -> float:

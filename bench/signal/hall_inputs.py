@@ -32,6 +32,8 @@ CHAIN = 4
 """Returns in a row that may belong to one edge, besides the first."""
 EVEN = 1.4
 """Times the quickest of three sectors, that the slowest lasts where they are about alike."""
+SWAYS = 15.0
+"""Electrical rad/s below which no sectors are alike: a driven shaft may sway there and its sectors last alike."""
 NEAR = math.radians(15.0)
 """rad from an edge of the same input within which a return is at that edge."""
 STOPPED = 0.02
@@ -121,13 +123,27 @@ class Inputs:
     @property
     def turns(self) -> tuple[float, float]:
         """Electrical revolutions by the sectors, in the order of the codes and against it."""
-        steps = np.diff(self.net.sectors)
+        steps = np.diff(self.net.sectors, prepend=0)
         return float(steps[steps > 0].sum()) / SECTORS, float(-steps[steps < 0].sum()) / SECTORS
 
     @property
     def reach(self) -> float:
         """Electrical revolutions between the farthest places that the shaft was at."""
         return float(np.ptp(self.net.sectors)) / SECTORS if len(self.net.sectors) else 0.0
+
+    @property
+    def steps(self) -> Ints:
+        """(m,) sectors gone at each change, with their sign, those of a shaft that sways too."""
+        changes, code, n = self.changes, np.full(len(self.changes) + 1, self.inverted), np.arange(len(self.changes))
+        for number in range(3):
+            own = np.flatnonzero(changes.input == number)
+            if len(own):
+                last = np.searchsorted(own, n, "right") - 1
+                levels = np.where(last < 0, ~changes.high[own[0]], changes.high[own[last]])
+                code[1:] ^= levels.astype(np.int64) << number
+                code[0] ^= int(not changes.high[own[0]]) << number
+        gone: Ints = steps_between(code[:-1], code[1:]).astype(np.int64)
+        return gone
 
 
 def read(edges: Edges, tick_hz: float) -> Inputs:
@@ -235,7 +251,7 @@ def speed_by_sectors(t: Floats, net: Net) -> tuple[Floats, Bools]:
     gone = np.diff(net.sectors)
     ways = np.sign([gone[inside - 1], gone[inside], gone[inside + 1]])
     steady = (np.abs(ways.sum(axis=0)) == 3) & (lasts[inside] < PAUSE * np.minimum(around[0], around[2]))
-    even = steady & (around.max(axis=0) < EVEN * around.min(axis=0))
+    even = steady & (around.max(axis=0) < EVEN * around.min(axis=0)) & (around.min(axis=0) < SECTOR_WIDTH / SWAYS)
     return np.where(steady, ways[0] * SECTOR_WIDTH / around.min(axis=0), 0.0), even
 
 

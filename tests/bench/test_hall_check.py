@@ -283,7 +283,7 @@ def test_the_command_prints_a_verdict_and_its_exit_code_is_that(tmp_path, capsys
     assert code == 1
     assert "FAULT: sensors b and c exchanged" in out.splitlines()
     assert "FAULT: false pulses on the Hall wires (EMI)" in out.splitlines()
-    assert max(map(len, out.splitlines())) <= 84
+    assert max(map(len, out.splitlines())) <= 79
     assert json.loads(data.read_text())["outcome"] == "fault"
     code, out, _ = bench(capsys, "check", "sim", "--json", "-")
     assert (code, json.loads(out)["outcome"]) == (0, "healthy")

@@ -8,7 +8,7 @@ import pytest
 from hall_motor import REAL, TABLE_I, Motor, capture
 
 from bench.hall.health import Health, examine
-from bench.hall.report import EDGE_HEADERS, WIDTH, as_json, edge_rows, fact_rows, verdict_lines
+from bench.hall.report import WIDTH, as_json, edge_rows, fact_rows, tables, verdict_lines
 from bench.hall.trace import trace
 from bench.signal.verdict import Verdict
 
@@ -206,8 +206,11 @@ def test_a_report_fits_a_terminal_and_its_json_says_the_same():
         health, turned = examine(looked_at), Turned(made, "by hand", ("a remark",))
         rows = edge_rows(health)
         assert max(map(len, verdict_lines(health, turned.remarks))) <= WIDTH
-        cells = [EDGE_HEADERS, *rows]
-        assert sum(max(len(row[k]) for row in cells) + 3 for k in range(len(EDGE_HEADERS))) <= WIDTH  # rich takes 3
+        shown = tables(health, looked_at.seconds)
+        for title, headers, cells in shown:
+            assert max(map(len, title), default=0) <= WIDTH
+            widths = [max(map(len, column)) for column in zip(headers, *cells, strict=True)]
+            assert sum(widths) + 3 * len(widths) <= WIDTH  # rich takes 3
         assert all(len(row) == 2 for row in fact_rows(health, looked_at, turned))
         data = as_json(health, looked_at, turned, "x")
         assert data["exit_code"] == health.exit_code
@@ -215,4 +218,4 @@ def test_a_report_fits_a_terminal_and_its_json_says_the_same():
         for row, edge in zip(rows, data["edges"], strict=True):
             assert float(row[1]) == pytest.approx(edge["up"]["angle_deg"], abs=0.0051)
             assert row[4] == f"{edge['up']['n']}/{edge['down']['n']}"
-    assert rows[0][7] == "-"  # no widths where the wires are exchanged
+    assert "Sectors' widths in electrical degrees" not in [title[0] for title, *_ in shown if title]  # wires exchanged
