@@ -136,7 +136,8 @@ def _wired(health: Health, parameters: Mapping[str, float]) -> Wired:
     fit = [w for w in found if (hats or not w.changes) and (declared is not None or off(w) < SET)]
     if fit:
         return min(fit, key=lambda w: (w.changes, w.inverted.bit_count(), off(w)))
-    lacking = ADVICE.format(" and ".join([OFFSET] * (declared is None) + [*HATS] * (not hats)))
+    needed = [OFFSET] * (declared is None) + [*HATS] * (not hats)
+    lacking = ADVICE.format(", ".join(needed))
     if health.findings:
         raise _refusal(health.findings[0], len(health.findings) - 1, f", {lacking}")
     stands = " or ".join(degrees(w.ring) for w in found if not w.changes) or "an unknown angle"
