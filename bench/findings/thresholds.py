@@ -140,6 +140,12 @@ RISING = 0.05
 
 LEARN_WITHIN = math.radians(0.5)
 """rad, the widest half of a 95 % confidence interval with which an edge is learnt: the hysteresis of good sensors."""
+LEARN_ASIDE = 0.02
+"""Share of passages far from their edges, beyond which none is learnt: something moved, if only for a while."""
+LEARN_LEG = 3.0
+"""Electrical revolutions one way, after which a slip of the encoder at the reversal shows."""
+HYSTERESIS = math.radians(0.2), math.radians(2.0)
+"""rad of hysteresis that sensors have that are well: what a slip between the two directions may add hides in it."""
 LEARN_SD = math.radians(2.0)
 """rad, the largest standard deviation with which an edge is taken from a filter."""
 LEARN_MOTOR = {"psi_f_hat": 0.02, "R_s_hat": 0.1, "L_s_hat": 0.2}

@@ -248,6 +248,7 @@ def order(found: list[Wired], declared: float | None, zero_known: bool) -> Itera
         return
     if not found:
         return
+    connect = CONNECT if declared is None else f"{CONNECT}; else {LEARN}"
     [inverted] = {w.inverted for w in found if w.inverted in (0, 1, 2, 4)} or {0}
     straight = [w for w in found if w.sensors == (0, 1, 2)]
     ways = ", ".join(f"{w.name} with the ring at {degrees(w.ring)}" for w in found if w.inverted == inverted)
@@ -265,10 +266,10 @@ def order(found: list[Wired], declared: float | None, zero_known: bool) -> Itera
         )  # fmt: skip
     elif near:
         yield Finding(
-            "wiring", near[0].name, (f"the codes come in the reverse order of the encoder: {ways}", *or_zero), CONNECT
+            "wiring", near[0].name, (f"the codes come in the reverse order of the encoder: {ways}", *or_zero), connect
         )
     elif zero_known:
-        yield Finding("wiring", "two Hall wires are exchanged", (f"the codes come in reverse order: {ways}",), CONNECT)
+        yield Finding("wiring", "two Hall wires are exchanged", (f"the codes come in reverse order: {ways}",), connect)
     else:
         yield Finding(
             "encoder_reversed",

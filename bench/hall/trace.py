@@ -41,6 +41,7 @@ class Recorded:
         self._run, self._note, self._told = run, note, 0
         self._part = ticks_between(run, begin, end)
         self.samples, self.edges = (run.rows(stream, *self._part) for stream in (layout.SAMPLES, layout.EDGES))
+        self.parameters = run.info.parameters
         if not self.samples or not self.edges:
             raise self._nothing()
 

@@ -35,6 +35,8 @@ BEYOND = 30.0
 """F statistic from which on a step or a drift is believed: they are looked for at every moment."""
 ABOVE = 2.0
 """Times what is left of revolutions, rms, that a step must be."""
+USUAL = math.radians(1.0)
+"""rad of hysteresis that sensors have: 0.2 to 2 deg."""
 LEAST_REACH = 3
 """Revolutions between the farthest places of the shaft, with which what all edges do is looked for."""
 LEAST_SIDE, WHOLE = 2, 4
@@ -331,6 +333,8 @@ def _common(at: _Passages, number: Ints, pairs: int) -> tuple[Common, Floats]:
     base = _base(mean["up"], mean["omega"], pair[first], pairs if len(y) >= VISITS * pairs else 1)
     steps, drift = _steps_and_drift(y, base, mean["angle"])
     steps = [k for k in steps if k - 1 not in steps and k - 2 not in steps]  # one within a revolution looks like two
+    if len(steps) == 1:
+        steps = [_likelier(steps[0], base, y, mean["up"])]
     terms = [base, *([mean["angle"][:, None]] if drift else []), *(_after(k, len(y))[:, None] for k in steps)]
     weights, left = _least_squares(np.hstack(terms), y)
     rest = weights[base.shape[1] :]
@@ -346,6 +350,22 @@ def _common(at: _Passages, number: Ints, pairs: int) -> tuple[Common, Floats]:
         moved -= size * (at.tick < tick)  # against what follows: an index pulse makes it right
     scatter = float(np.sqrt(np.sum(left**2) / max(1, len(y) - len(weights))))
     return Common(tuple(sorted(found)), slope * math.tau, drifted, scatter), moved
+
+
+def _likelier(step: int, base: Floats, y: Floats, up: Floats) -> int:
+    """The step, or one at another reversal that explains as much and leaves a hysteresis that sensors rather have.
+
+    With forward, reverse and forward again a step at the first reversal differs from one at the second in nothing else.
+    """
+    turned = np.flatnonzero(np.diff(up)) + 1
+    if len(turned) < 2 or np.abs(turned - step).min() > 1:
+        return step
+    of_way = [np.array_equal(column, 0.5 * up) for column in base.T].index(True)
+    found = []
+    for k in (step, *turned[np.abs(turned - step) > 1].tolist()):
+        weights, left = _least_squares(np.hstack([base, _after(k, len(y))[:, None]]), y)
+        found.append((float(left @ left), abs(float(weights[of_way]) - USUAL), k))
+    return int(min((unusual, k) for rest, unusual, k in found if rest <= 1.5 * found[0][0])[1])
 
 
 def _moment(at: _Passages, turn: Ints, revolution: int, before: float, size: float) -> int:

@@ -160,15 +160,21 @@ def read(edges: Edges, tick_hz: float) -> Inputs:
     else:
         omega, even = speed_by_sectors(edges.tick / tick_hz, net)
         most = np.where(even, EVEN_RETURNS, BLIND_RETURNS)
-    reached = np.append(net.sectors, 0)
-    gone_at = reached[np.searchsorted(net.at, np.arange(len(edges.tick)), "right") - 1]
+    sectors = np.append(net.sectors, 0)
+    sectors_at = sectors[np.searchsorted(net.at, np.arange(len(edges.tick)), "right") - 1]
     kept, gone = [], []
     for number in range(3):
         at = np.flatnonzero((edges.old ^ edges.new) >> number & 1)
         high = edges.new[at] >> number & 1 == 1
         stays, first, second = _settled(edges.tick[at] / tick_hz, high, omega[at], edges.stretch[at], most[at])
         one = Changes(
-            np.full(len(at), number), high, edges.tick[at], edges.theta[at], omega[at], edges.stretch[at], gone_at[at]
+            np.full(len(at), number),
+            high,
+            edges.tick[at],
+            edges.theta[at],
+            omega[at],
+            edges.stretch[at],
+            sectors_at[at],
         )
         own = _returned(one, stays, first, second, tick_hz, edges.current[at])
         kept.append(one.of(_first_of_bounces(one, stays, first, own, tick_hz)))
@@ -197,6 +203,12 @@ def usual(edges: Edges) -> int:
 def net_sectors(edges: Edges, inverted: int) -> Net:
     """Sectors gone, by the codes with the bits `inverted`."""
     gone = np.cumsum(steps_between(edges.old ^ inverted, edges.new ^ inverted)).astype(np.int64)
+    at = reached(gone)
+    return Net(at, edges.tick[at], gone[at])
+
+
+def reached(gone: Ints) -> Ints:
+    """Where sectors, counted with their sign (n,), were first reached; a reversal is believed after three."""
     at: list[int] = []
     reach, way = 0, 1
     for k, now in enumerate(gone.tolist()):
@@ -205,8 +217,7 @@ def net_sectors(edges: Edges, inverted: int) -> Net:
             way = way if ahead > 0 else -way
             reach = now
             at.append(k)
-    reached = np.array(at, np.int64)
-    return Net(reached, edges.tick[reached], gone[reached])
+    return np.array(at, np.int64)
 
 
 def _ratio(theta: Floats, sectors: Ints) -> tuple[float, float]:

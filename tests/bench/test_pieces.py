@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import subprocess
-import math
 import sys
 import tracemalloc
 from collections.abc import Callable

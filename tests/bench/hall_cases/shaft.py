@@ -12,6 +12,8 @@ Floats = NDArray[np.float64]
 
 DWELL_TURNS, DWELL = 8.0, (1.0, 4.0)
 """Electrical turns at a speed, and the s that it takes at least and at most, as docs/hall.md has them."""
+AGAIN = (0.5, 5.0, 0.5)
+"""Share of the speed at which it turns forward once more, electrical turns, and s at least."""
 STILL = 0.15  # s before and after
 
 
@@ -74,14 +76,15 @@ def ways(*stretches: tuple[float, float], start: float = 0.0) -> tuple[tuple[flo
     return tuple(knots)
 
 
-def check(top_rpm: float, n_p: int) -> Way:
-    """A quarter, half and all of a speed, both ways."""
+def check(top_rpm: float, n_p: int, again: bool = True) -> Way:
+    """A quarter, half and all of a speed, both ways, and forward once more."""
+    per_second = n_p * top_rpm / 60.0
+    legs = [[(share, DWELL_TURNS, DWELL[0]) for share in (0.25, 0.5, 1.0)] for _ in range(2)]
     stretches = [(STILL, 0.0)]
-    for sign in (1.0, -1.0):
-        for share in (0.25, 0.5, 1.0):
-            turns = n_p * share * top_rpm / 60.0
-            stretches += [(0.1, sign * share * top_rpm), (min(max(DWELL_TURNS / turns, DWELL[0]), DWELL[1]), 0.0)]
-            stretches[-1] = (stretches[-1][0], sign * share * top_rpm)
+    for sign, leg in zip((1.0, -1.0, 1.0), [*legs, [AGAIN]] if again else legs, strict=False):
+        for share, turns, least in leg:
+            rpm = sign * share * top_rpm
+            stretches += [(0.1, rpm), (min(max(turns / (share * per_second), least), DWELL[1]), rpm)]
         stretches += [(0.2, 0.0), (STILL, 0.0)]
     knots = ways(*stretches)
     return Way(knots, ((0.0, knots[-1][0]),))
