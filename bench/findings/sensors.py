@@ -18,6 +18,7 @@ from bench.findings.thresholds import (
     BOUNCES,
     BROKEN,
     DEAD_TURNS,
+    EVENLY,
     MISSES,
     MOSTLY,
     ONE_SIDED,
@@ -144,7 +145,8 @@ def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
         away = windows + (0 if both_sides else long) + (n if one_sided else 0)
         level = at_one[number]
         others = float(np.abs(np.delete(at_one, number) - 0.5).min())
-        lopsided = abs(level - 0.5) > max(UNEQUAL, 3.0 * others)
+        evenly = n >= ONE_SIDED and abs(high / n - 0.5) < EVENLY
+        lopsided = abs(level - 0.5) > max(UNEQUAL, 3.0 * others) and not evenly
         seldom = changed[number] < MOSTLY * changed.max() and not both_sides
         mostly = (lopsided or seldom) and int(np.count_nonzero(own)) > BROKEN
         if away <= BROKEN and not mostly:

@@ -65,6 +65,8 @@ BROKEN, ONE_SIDED, SIDE = 2, 8, 0.9
 that no interference makes: eight are so by chance once in 128."""
 WINDOWS = 0.2
 """Of what returns to both levels, as pulses do, that an input must miss besides to be a contact."""
+EVENLY = 0.15
+"""Share by which returns to 1 may be more or less than half of all, where they come from an interference."""
 UNEQUAL = 0.08
 """Share of the time by which an input may be 1 more or less than half of it: edges 8.4 deg off make 0.05."""
 MOSTLY = 0.8

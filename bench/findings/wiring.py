@@ -193,7 +193,7 @@ class Wired(NamedTuple):
         off = [INPUTS[number] for number in range(3) if self.sensors[number] != number]
         turned = [INPUTS[number] for number in range(3) if self.inverted >> number & 1]
         words = [
-            {0: "", 2: f"sensors {off[0]} and {off[-1]} exchanged" if off else ""}.get(
+            {0: "", 2: f"sensors {' and '.join(off if off != ['a', 'c'] else off[::-1])} exchanged"}.get(
                 len(off), f"sensors rotated ({a}, {b}, {c})"
             )
         ]
