@@ -11,7 +11,7 @@ motor        the flux linkage that the firmware takes the motor to have
 motion       speed, currents and position errors of a run that turned a motor
 
 A detector takes what was measured (`bench.signal`) or pieces of a run as they come, and yields findings: one function
-or class for a kind of fault, whoever asks. `bench hall check` asks with a recording (`bench.hall.health` has the
+or class for a kind of fault, whoever asks. `bench hall check` asks with a recording (`bench.findings.health` has the
 order), `bench live` while the motor turns (`bench.live.plausible`), `bench accept` in its tests. Nothing here talks to
 a drive, reads a recording or prints.
 """

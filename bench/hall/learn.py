@@ -18,8 +18,8 @@ import numpy as np
 from bench import files
 from bench.device.node import Node
 from bench.errors import BenchError, NodeError
+from bench.findings.health import Health
 from bench.findings.thresholds import LEARN_MOTOR, LEARN_SD, LEARN_WITHIN
-from bench.hall.health import Health
 from bench.hall.lessons import Lessons
 from bench.rig.restore import not_put_back, put_back
 from bench.signal.verdict import Verdict

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from bench.findings.health import Health
 from bench.findings.wiring import AS_SPECIFIED
-from bench.hall.health import Health
 from bench.hall.turning import Turned
 from bench.report.words import number
 from bench.signal.hall_edges import Edge, Passages, largest

@@ -13,9 +13,9 @@ import pytest
 from hall_motor import PWM_HZ, REAL, TABLE_I, TICK_HZ, Motor, capture
 
 from bench.findings import thresholds
+from bench.findings.health import examine
 from bench.findings.pole_pairs import ComparedTurns
 from bench.findings.wiring import Wires
-from bench.hall.health import examine
 from bench.hall.trace import trace
 from bench.signal.waveforms.sectors import steps_between
 from protocol.streams import Gap, SampleChunk

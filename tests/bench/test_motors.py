@@ -16,7 +16,7 @@ from virtual_run import RecordingScreen, WatchedLink, run
 
 from bench.cli import cli
 from bench.device.simulator import motors
-from bench.hall.health import Health, examine
+from bench.findings.health import Health, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from bench.live.run import LiveOutcome

@@ -27,7 +27,7 @@ from bench.device.heard import Missing
 from bench.device.losses import Continuity
 from bench.errors import BenchError
 from bench.files import leaves
-from bench.hall.health import examine
+from bench.findings.health import examine
 from bench.hall.trace import Recorded, trace
 from bench.record import writer
 from bench.record.reader import Run

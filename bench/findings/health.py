@@ -20,7 +20,6 @@ from bench.findings.finding import Finding
 from bench.findings.sensors import Codes
 from bench.findings.thresholds import LEAST_PASSAGES, LEAST_REACH, LEAST_TURNS
 from bench.findings.wiring import Diagnosis, diagnose
-from bench.rig.outcome import RunOutcome
 from bench.signal import hall_edges, pulses, reference
 from bench.signal.delays import AGREE, Delays, delays_of
 from bench.signal.hall_edges import Measured
@@ -56,7 +55,7 @@ class Health:
     @property
     def exit_code(self) -> int:
         """Of the command: 0 healthy, 1 something is wrong, 2 the data are insufficient."""
-        return RunOutcome.of(self.verdict).exit_code
+        return self.verdict.exit_code
 
 
 def examine(trace: Trace, further: str = "") -> Health:
