@@ -75,5 +75,4 @@ def pieces_of(whole: Capture | Recorded, wanted: Iterable[str]) -> Iterable[Capt
 
 def trace(whole: Capture | Recorded) -> Trace:
     """Make ready what was captured or recorded. BenchError without the channel `hall`."""
-    samples, edges = (whole.samples, whole.edges) if isinstance(whole, Recorded) else (len(whole), len(whole.edges))
-    return trace_of(pieces_of(whole, LOOKED_AT), samples, edges)
+    return trace_of(pieces_of(whole, LOOKED_AT))
