@@ -58,8 +58,11 @@ class Health:
         return self.verdict.exit_code
 
 
-def examine(trace: Trace, further: str = "") -> Health:
-    """Name what is wrong. `further`: how to turn the shaft more if it turned too little, in words."""
+def examine(trace: Trace, further: str = "", still_named: bool = False) -> Health:
+    """Name what is wrong. `further`: how to turn the shaft more if it turned too little, in words.
+
+    `still_named`: whether wires are named even then, by samples: a motor that cannot start turns no further.
+    """
     measured = hall_edges.measure(trace)
     inputs = measured.inputs
     turns, found_pulses, codes = reference.turns(trace, inputs), pulses.count(trace, inputs), _codes(trace, inputs)
@@ -73,7 +76,7 @@ def examine(trace: Trace, further: str = "") -> Health:
             + ": turn the shaft forward and reverse"
             + (f", {further}" if further else "")
         )
-        findings: list[Finding] = []
+        findings: list[Finding] = [*wiring.by_samples(trace)] if still_named else []
     else:
         broken = [*sensors.dead(trace, inputs, covered)] or [*sensors.contacts(trace, inputs, codes)]
         findings = [

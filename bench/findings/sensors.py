@@ -68,6 +68,14 @@ def missed(inputs: Inputs) -> NDArray[np.int64]:
 def dead(trace: Trace, inputs: Inputs, turned: float) -> Iterator[Finding]:
     """Inputs that never change while the shaft goes round, or stop to; `turned`: electrical revolutions covered."""
     changes, edges = trace.changes(), trace.edges
+    if not len(edges.tick) and turned >= DEAD_TURNS and np.count_nonzero(trace.codes) != 1:
+        yield Finding(
+            "dead",
+            "no Hall edge came while the shaft turned: all three sensors are dead, or the drive does not see edges",
+            (f"{turned:.1f} electrical revolutions by the encoder",),
+            "measure the supply of the sensors; if their levels change, look at the drive's edge capture",
+        )
+        return
     told = ", ".join(f"{name} {n}" for name, n in zip(INPUTS, changes, strict=True))
     for number, name in enumerate(INPUTS):
         high = float(trace.codes[np.arange(8) >> number & 1 == 1].sum()) / max(1, int(trace.codes.sum()))

@@ -13,13 +13,10 @@ from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
 from bench.signal.chunks import between
-from bench.signal.trace import STATOR, Trace, trace_of
+from bench.signal.trace import LOOKED_AT, Trace, trace_of
 
 if TYPE_CHECKING:
     from bench.record.reader import Run
-
-LOOKED_AT = ("hall", "status", "i_d", "i_q", *STATOR)
-"""Channels that are read, and the encoder's angle."""
 
 
 class Recorded:

@@ -29,6 +29,8 @@ Ints = NDArray[np.int64]
 
 STATOR = ("u_alpha", "u_beta", "i_a", "i_b")
 """Channels that the back-EMF is made of."""
+LOOKED_AT = ("hall", "status", "i_d", "i_q", *STATOR)
+"""Channels that are looked at, and the encoder's angle."""
 SLOW = 5.0
 """Electrical rad/s, below which the direction of a shaft is not sure."""
 SLOPE = 8e-3
@@ -84,9 +86,13 @@ Arrays = TypeVar("Arrays", Some, Edges)
 
 
 class Trace:
-    """A stretch of time in which a shaft turned, put together window by window; it may be read in between."""
+    """A stretch of time in which a shaft turned, put together window by window; it may be read in between.
 
-    def __init__(self) -> None:
+    `most`, `most_edges`: samples and edges that are kept to measure from; 0: `MOST` and `MOST_EDGES`.
+    """
+
+    def __init__(self, most: int = 0, most_edges: int = 0) -> None:
+        self._most, self._most_edges = most or MOST, most_edges or MOST_EDGES
         self._every = self._every_block = 1
         self._stretches = 0
         self.tick_hz = 0
@@ -170,7 +176,7 @@ class Trace:
         columns = (capture.samples.tick, hall, theta, omega, current, u, i, driven(capture))
         self._some.append(Some(*(column[at] for column in columns)))  # type: ignore[arg-type]
         self._kept += len(at)
-        while self._kept > MOST:
+        while self._kept > self._most:
             self._every *= 2
             self._some = [_of(self.some, slice(None, None, 2))]
             self._kept = len(self._some[0].tick)
@@ -196,7 +202,7 @@ class Trace:
         added = Edges(tick, old, new, angle, rate, current[near], (stretch << BITS) + raw.index // BLOCK)
         self._edges.append(self._evenly(added))
         self._kept_edges += len(self._edges[-1].tick)
-        while self._kept_edges > MOST_EDGES:
+        while self._kept_edges > self._most_edges:
             self._every_block *= 2
             self._edges = [self._evenly(_together(Edges, self._edges))]
             self._kept_edges = len(self._edges[0].tick)
