@@ -24,7 +24,7 @@ from bench.device.heard import ClockRestarted, Heard
 from bench.findings import wiring
 from bench.findings.finding import Finding
 from bench.findings.health import examine
-from bench.findings.thresholds import PULSES
+from bench.findings.thresholds import LEAST_PASSAGES, PULSES
 from bench.signal import hall_inputs
 from bench.signal.capture import Capture
 from bench.signal.channels import flagged, reference_angle
@@ -53,6 +53,8 @@ MOST_PATIENT = 8
 """Pieces that are let go by at most, before what looks suspicious is examined again."""
 OF_INPUTS = ("bounce", "pulses", "contact", "dead")
 """Findings that what came later does not take back."""
+AT_ONCE = (*OF_INPUTS, "wiring", "pole_pairs", "encoder_slips", "encoder_reversed")
+"""Findings that need no edge to be passed again and again; all others need `LEAST_PASSAGES` of each."""
 _BROKEN = Gap(0, 0, 0, False)
 
 
@@ -189,7 +191,7 @@ class HallJudge:
             self._look(window)
         found: list[Finding] = []
         if self.whole.samples:
-            found += examine(self.whole, still_named=True).findings if self._edges else wiring.by_samples(self.whole)
+            found += told(self.whole) if self._edges else wiring.by_samples(self.whole)
         if not any(finding.code in OF_INPUTS for finding in found):
             found += [finding for (code, *_), finding in self._named.items() if code in OF_INPUTS]
         return [*self._kept, *found]
@@ -213,13 +215,21 @@ class HallJudge:
         for each in self._recent:
             recent.add(each)
         ticks = window.samples.tick
-        new = [finding for finding in examine(recent).findings if _name(finding) not in self._named]
+        new = [finding for finding in told(recent) if _name(finding) not in self._named]
         for finding in new:
             self._named[_name(finding)] = finding
             self.said.append(Said(finding, int(ticks[0]), int(ticks[-1])))
         if not due:
             self._patient = 0 if new else min(2 * self._patient + 1, MOST_PATIENT)
             self._patience = self._patient
+
+
+def told(trace: Trace) -> list[Finding]:
+    """What is wrong by a trace that may be short: a run is made for something else than judging sensors."""
+    health = examine(trace, still_named=True)
+    fit = health.measured.fit
+    well = fit is not None and int(fit.n.sum(axis=1).min()) >= LEAST_PASSAGES
+    return [finding for finding in health.findings if well or finding.code in AT_ONCE]
 
 
 def suspicious(edges: Edges, tick_hz: float) -> bool:

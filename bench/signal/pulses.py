@@ -64,9 +64,7 @@ class Pulses:
 def count(trace: Trace, inputs: Inputs) -> Pulses:
     """Count what returned within a small part of a sector."""
     returns = inputs.returns
-    short = returns.travel < NEAR
-    bounces = short & returns.at_edge & _bouncing(returns, short)[returns.input]
-    pulses = short & ~bounces
+    bounces, pulses = kinds(returns)
     n = int(np.count_nonzero(pulses))
     bins: list[CurrentBin] = []
     excess = math.nan
@@ -94,6 +92,13 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
         tuple(bins),
         excess,
     )
+
+
+def kinds(returns: Returns) -> tuple[Bools, Bools]:
+    """Which of them are bounces, and which are pulses."""
+    short = returns.travel < NEAR
+    bounces = short & returns.at_edge & _bouncing(returns, short)[returns.input]
+    return bounces, short & ~bounces
 
 
 def _bouncing(returns: Returns, short: Bools) -> Bools:

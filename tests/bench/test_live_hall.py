@@ -176,15 +176,15 @@ def test_of_a_healthy_drive_nothing_is_said() -> None:
 
 
 def test_a_bounce_that_begins_is_told_while_the_motor_turns_on(tmp_path: Path) -> None:
-    """Sensor b of the simulated drive bounces from 3 s after its boot on."""
-    faulty = simulated(faults__hall__bounce=[0.0, 0.5, 0.0], faults__begin=3.0)
+    """Sensor b of the simulated drive bounces from 2 s after its boot on."""
+    faulty = simulated(faults__hall__bounce=[0.0, 0.5, 0.0], faults__begin=2.0)
     screen, link = RecordingScreen(), WatchedLink(faulty)
-    ended = run(link, screen=screen, duration=6.0, save=tmp_path / "a.run", observer="encoder")
+    ended = run(link, screen=screen, duration=4.5, save=tmp_path / "a.run", observer="encoder")
     said = [note for note in screen.notes if "Hall sensors" in note]
     assert [note.partition(": ")[2][:16] for note in said] == ["sensor b bounces"]
     recording = Run(tmp_path / "a.run")
     [mark] = [mark for mark in recording.marks if "bounces" in mark.name]
-    assert 3.0 < mark.last_tick / recording.info.tick_hz < 6.0
+    assert 2.0 < mark.last_tick / recording.info.tick_hz < 5.0
     assert ended.exit_code == 1
     assert ended.summary.result.startswith("implausible: sensor b bounces")
     assert ended.summary.asked[0].speed_came_rpm == pytest.approx(500.0, rel=0.02)  # to the end
