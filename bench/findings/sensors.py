@@ -102,13 +102,25 @@ def dead(trace: Trace, inputs: Inputs, turned: float) -> Iterator[Finding]:
 
 
 def _gone(inputs: Inputs, edges: Edges, last: int) -> float:
-    """Electrical revolutions that the shaft went away after an edge; without an encoder, those that two inputs show."""
-    theta = edges.theta[last:] / inputs.ratio
-    if np.isfinite(theta).any():
-        return float(np.ptp(theta[np.isfinite(theta)])) / math.tau
+    """Electrical revolutions that the shaft went away after an edge; without an encoder, those that two inputs show.
+
+    The most within a stretch: between stretches there may have been edges that were not kept.
+    """
+    theta, stretch = edges.theta[last:] / (math.tau * inputs.ratio), edges.stretch[last:]
+    known = np.isfinite(theta)
+    if known.any():
+        return _farthest(theta[known], stretch[known])
     net = inputs.net
-    after = net.sectors[max(0, int(np.searchsorted(net.at, last)) - 1) :]
-    return float(np.ptp(after)) / 2.0 if len(after) else 0.0
+    since = max(0, int(np.searchsorted(net.at, last)) - 1)
+    return _farthest(net.sectors[since:] / 2.0, edges.stretch[net.at[since:]])
+
+
+def _farthest(places: NDArray[np.float64], stretch: NDArray[np.int64]) -> float:
+    """The most by which places (n,) in one stretch are apart; 0 of none."""
+    if not len(places):
+        return 0.0
+    starts = np.flatnonzero(np.diff(stretch, prepend=stretch[0] - 1))
+    return float((np.maximum.reduceat(places, starts) - np.minimum.reduceat(places, starts)).max())
 
 
 def stuck(name: str, level: int) -> tuple[str, str]:
@@ -139,7 +151,7 @@ def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
         if away <= BROKEN and not mostly:
             continue
         level = int(np.count_nonzero(own & returns.high) * 2 > np.count_nonzero(own))
-        share = float(returns.width[own & (returns.high == bool(level))].sum()) / max(trace.seconds, 1e-9)
+        share = float(returns.width[own & (returns.high == bool(level))].sum()) / max(trace.measured, 1e-9)
         words = [
             f"{windows} times it did not change where it should have" if windows else "",
             f"{int(np.count_nonzero(own))} times it went away and came back, {percent(share)} of the time"

@@ -24,7 +24,7 @@ from bench.device.heard import ClockRestarted, Heard
 from bench.findings import wiring
 from bench.findings.finding import Finding
 from bench.findings.health import examine
-from bench.findings.thresholds import LEAST_PASSAGES, PULSES
+from bench.findings.thresholds import LEAST_PASSAGES, LEAST_TURNS, PULSES
 from bench.signal import hall_inputs
 from bench.signal.capture import Capture
 from bench.signal.channels import flagged, reference_angle
@@ -46,7 +46,7 @@ FOLLOWED = math.pi / 2.0
 FIRST, EVERY, RECENT = 5.0, 10.0, 12.0
 """s after which the last stretch is examined at first, then again and again, and how long that is."""
 RECENT_SAMPLES, RECENT_EDGES = 20_000, 4_000
-"""Of it that are measured from, at most,"""
+"""Of it that are measured from, at most (of edges all, where one returned or stopped to come),"""
 MOST, MOST_EDGES = 120_000, 60_000
 """and of the whole run."""
 MOST_PATIENT = 8
@@ -192,9 +192,10 @@ class HallJudge:
         found: list[Finding] = []
         if self.whole.samples:
             found += told(self.whole) if self._edges else wiring.by_samples(self.whole)
+        found = [*self._kept, *found]
         if not any(finding.code in OF_INPUTS for finding in found):
-            found += [finding for (code, *_), finding in self._named.items() if code in OF_INPUTS]
-        return [*self._kept, *found]
+            found += [finding for finding in self._named.values() if finding.code in OF_INPUTS]
+        return found
 
     def _look(self, window: Window) -> None:
         edges = self.whole.add(window)
@@ -211,7 +212,7 @@ class HallJudge:
             return
         elif not suspicious(edges, self.whole.tick_hz):
             return
-        recent = Trace(RECENT_SAMPLES, RECENT_EDGES)
+        recent = Trace(RECENT_SAMPLES, RECENT_EDGES if due else MOST_EDGES)
         for each in self._recent:
             recent.add(each)
         ticks = window.samples.tick
@@ -225,11 +226,14 @@ class HallJudge:
 
 
 def told(trace: Trace) -> list[Finding]:
-    """What is wrong by a trace that may be short: a run is made for something else than judging sensors."""
+    """What is wrong by a trace that may be short: a run is made for something else than judging sensors.
+
+    Of one direction a back-EMF that seems late is not told: starts and steps of the load turn it as well.
+    """
     health = examine(trace, still_named=True)
-    fit = health.measured.fit
+    fit, one_way = health.measured.fit, min(health.turns.up, health.turns.down) < LEAST_TURNS
     well = fit is not None and int(fit.n.sum(axis=1).min()) >= LEAST_PASSAGES
-    return [finding for finding in health.findings if well or finding.code in AT_ONCE]
+    return [f for f in health.findings if f.code in AT_ONCE or (well and not (one_way and f.code == "encoder_late"))]
 
 
 def suspicious(edges: Edges, tick_hz: float) -> bool:

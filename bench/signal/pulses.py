@@ -73,7 +73,7 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
         if len(bounds) == BINS + 1:
             at = np.clip(np.searchsorted(bounds, returns.current[pulses], "right") - 1, 0, BINS - 1)
             per_bin = np.bincount(at, minlength=BINS)
-            time = trace.seconds / BINS
+            time = trace.measured / BINS
             bins = [
                 CurrentBin(float(lo), float(hi), int(k), int(k) / time)
                 for lo, hi, k in zip(bounds[:-1], bounds[1:], per_bin, strict=True)
@@ -83,7 +83,7 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
     width = returns.width[bounces]
     return Pulses(
         n,
-        n / trace.seconds,
+        n / trace.measured,
         _by_input(returns, pulses),
         _by_input(returns, pulses & returns.high),
         float(returns.width[pulses].max()) if n else math.nan,

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
+from bench.signal.chunks import contiguous
 from bench.signal.position import running
 from bench.signal.windows import Window, windows
 from protocol.streams import EdgeChunk, SampleChunk
@@ -117,7 +118,7 @@ class Trace:
         """What was lost, as a `Capture` has it."""
         self._some: list[Some] = []
         self._edges: list[Edges] = []
-        self._kept = self._kept_edges = 0
+        self._kept = self._kept_edges = self._came_edges = 0
         self._angle: float | None = None  # the last one, unwrapped
 
     @property
@@ -148,7 +149,7 @@ class Trace:
         theta = omega = np.full(len(capture), math.nan)
         if self.encoder:
             theta = self._unwrapped(capture.theta, own)
-            omega = speed(theta, capture.t)
+            omega = np.concatenate([speed(theta[rows], capture.t[rows]) for rows in contiguous(capture.samples)])
             way = omega[own] * self.sample_time / math.tau
             moving = np.abs(omega[own]) >= SLOW
             self.up += float(way[moving & (way > 0)].sum())
@@ -201,6 +202,7 @@ class Trace:
         self._stretches += len(breaks)
         added = Edges(tick, old, new, angle, rate, current[near], (stretch << BITS) + raw.index // BLOCK)
         self._edges.append(self._evenly(added))
+        self._came_edges += len(tick)
         self._kept_edges += len(self._edges[-1].tick)
         while self._kept_edges > self._most_edges:
             self._every_block *= 2
@@ -222,6 +224,11 @@ class Trace:
     def seconds(self) -> float:
         """Time covered by samples."""
         return self.samples * self.sample_time
+
+    @property
+    def measured(self) -> float:
+        """Time of the edges that were kept, s."""
+        return self.seconds * (self._kept_edges / self._came_edges if self._came_edges else 1.0)
 
     def changes(self) -> list[int]:
         """How often each input changed."""

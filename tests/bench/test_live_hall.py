@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hall_motor import REAL, TABLE_I, TICK_HZ, Motor, capture
 from virtual_run import RecordingScreen, WatchedLink, run, simulated
 
 from bench.device.client import Client
+from bench.device.heard import ClockRestarted
 from bench.device.node import Node
 from bench.findings.health import examine
 from bench.hall.trace import Recorded, trace
@@ -164,6 +166,49 @@ def test_a_fault_is_said_once_soon_after_it_began(recording: Recording, code: st
     assert [each.finding.code for each in said] == [code]
     assert since < said[0].last / seen.tick_hz < since + within
     assert {finding.code for finding in judge.findings()} == {f.code for f in examine(trace(seen)).findings} == {code}
+
+
+def test_of_many_edges_of_which_some_are_measured_none_seems_dead() -> None:
+    """600 edges a second: of those of the last seconds, and of all, every second block is kept."""
+    fast = Recording(way=Way(((0.0, 1000.0), (25.0, 1000.0)), ((0.0, 25.0),)))
+    for recording in (fast, fast.but(encoder=None)):
+        with patch("bench.live.hall_sensors.MOST_EDGES", 5_000):
+            judge, said = of_capture(recording.capture())
+        assert (judge.findings(), said) == ([], [])
+
+
+def test_gaps_and_a_new_clock_are_no_faults() -> None:
+    """Pieces are lost, samples and edges; then the drive boots again."""
+    seen = healthy(11).capture()
+    judge = HallSensors(seen.samples.config, True, seen.parameters)
+    lost: set[type] = set()
+    for number, piece in enumerate([*pieces(seen), ClockRestarted(1, 0), *pieces(seen)]):
+        if isinstance(piece, ClockRestarted):
+            judge.take(piece)
+        elif number % 17 in (5, 6):
+            lost.add(type(piece))
+        else:
+            judge.take(replace(piece, gaps=(Gap(0, 100, 3, False),)) if type(piece) in lost else piece)
+            lost.discard(type(piece))
+    assert (judge.findings(), list(judge.news())) == ([], [])
+
+
+def test_what_was_found_before_the_drive_booted_again_stays() -> None:
+    faulty = FORWARD.with_effect(Contact((2,), 1.0, 0.0, 0, since=6.0)).capture()
+    judge = HallSensors(faulty.samples.config, True, faulty.parameters)
+    for piece in [*pieces(faulty), ClockRestarted(1, 0), *pieces(FORWARD.capture())]:
+        judge.take(piece)
+    assert [finding.code for finding in judge.findings()] == ["dead"]
+
+
+def test_a_judge_that_fails_ends_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ValueError("five is no number")
+
+    monkeypatch.setattr("bench.live.hall_sensors.examine", fails)
+    ended = run(WatchedLink(simulated()), duration=1.5)
+    assert ended.exit_code == 0
+    assert "Hall sensors (they could not be judged: ValueError: five is no number)" in ended.summary.result
 
 
 def test_of_a_healthy_drive_nothing_is_said() -> None:
