@@ -49,6 +49,8 @@ RECENT_SAMPLES, RECENT_EDGES = 20_000, 4_000
 """Of it that are measured from, at most (of edges all, where one returned or stopped to come),"""
 MOST, MOST_EDGES = 120_000, 60_000
 """and of the whole run."""
+UNPLACED = 0.02
+"""Share of edges in and beside gaps, above which too much was lost for judging where edges lie."""
 MOST_PATIENT = 8
 """Pieces that are let go by at most, before what looks suspicious is examined again."""
 OF_INPUTS = ("bounce", "pulses", "contact", "dead")
@@ -233,6 +235,7 @@ def told(trace: Trace) -> list[Finding]:
     health = examine(trace, still_named=True)
     fit, one_way = health.measured.fit, min(health.turns.up, health.turns.down) < LEAST_TURNS
     well = fit is not None and int(fit.n.sum(axis=1).min()) >= LEAST_PASSAGES
+    well = well and max(trace.unplaced, 2 * trace.breaks) <= UNPLACED * trace.came
     return [f for f in health.findings if f.code in AT_ONCE or (well and not (one_way and f.code == "encoder_late"))]
 
 

@@ -95,7 +95,10 @@ class Trace:
     def __init__(self, most: int = 0, most_edges: int = 0) -> None:
         self._most, self._most_edges = most or MOST, most_edges or MOST_EDGES
         self._every = self._every_block = 1
-        self._stretches = 0
+        self.breaks = 0
+        """Gaps, of samples and of edges."""
+        self.came = 0
+        """Edges, kept or not."""
         self.tick_hz = 0
         self.samples = 0
         """How many there are."""
@@ -118,7 +121,7 @@ class Trace:
         """What was lost, as a `Capture` has it."""
         self._some: list[Some] = []
         self._edges: list[Edges] = []
-        self._kept = self._kept_edges = self._came_edges = 0
+        self._kept = self._kept_edges = 0
         self._angle: float | None = None  # the last one, unwrapped
 
     @property
@@ -198,11 +201,11 @@ class Trace:
         np.add.at(self.changed, (old[used], new[used]), 1)
         near = np.clip(np.searchsorted(capture.samples.tick, tick), 0, len(current) - 1)
         breaks = np.sort(np.append(_after_gaps(capture.samples), _after_gaps(raw)))
-        stretch = self._stretches + np.searchsorted(breaks, tick, "right")
-        self._stretches += len(breaks)
+        stretch = self.breaks + np.searchsorted(breaks, tick, "right")
+        self.breaks += len(breaks)
         added = Edges(tick, old, new, angle, rate, current[near], (stretch << BITS) + raw.index // BLOCK)
         self._edges.append(self._evenly(added))
-        self._came_edges += len(tick)
+        self.came += len(tick)
         self._kept_edges += len(self._edges[-1].tick)
         while self._kept_edges > self._most_edges:
             self._every_block *= 2
@@ -228,7 +231,7 @@ class Trace:
     @property
     def measured(self) -> float:
         """Time of the edges that were kept, s."""
-        return self.seconds * (self._kept_edges / self._came_edges if self._came_edges else 1.0)
+        return self.seconds * (self._kept_edges / self.came if self.came else 1.0)
 
     def changes(self) -> list[int]:
         """How often each input changed."""
