@@ -25,7 +25,7 @@ PAGE = DOCS / "hall-faults.md"
 sys.path.insert(0, str(DOCS.parent))  # for `tests`
 
 from bench.findings.finding import Finding  # noqa: E402
-from bench.hall.health import examine  # noqa: E402
+from bench.findings.health import examine  # noqa: E402
 from bench.hall.trace import trace  # noqa: E402
 from bench.live.plausible import Plausibility  # noqa: E402
 from bench.signal.capture import Capture  # noqa: E402

@@ -17,7 +17,7 @@ PAGE = DOCS / "hall.md"
 BEGIN, END = "<!-- real captures: begin -->\n", "<!-- real captures: end -->\n"
 sys.path.insert(0, str(DOCS.parent))  # for `tests`
 
-from bench.hall.health import examine  # noqa: E402
+from bench.findings.health import examine  # noqa: E402
 from bench.hall.report import as_json  # noqa: E402
 from bench.hall.trace import trace  # noqa: E402
 from bench.hall.turning import Turned  # noqa: E402

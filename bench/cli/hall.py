@@ -25,7 +25,7 @@ from bench.signal.verdict import Verdict
 
 if TYPE_CHECKING:
     from bench.cli.output import Progress
-    from bench.hall.health import Health
+    from bench.findings.health import Health
     from bench.hall.learn import Learnt
     from bench.hall.source import Options, Source
 
@@ -238,8 +238,8 @@ def _show(
 ) -> Health:
     """Examine what was recorded; print it, or write it as JSON, with `more` in it."""
     from bench.cli.output import pairs, table
+    from bench.findings.health import examine
     from bench.hall import report
-    from bench.hall.health import examine
     from bench.hall.trace import trace
 
     looked_at = trace(found.turned.capture)

@@ -71,6 +71,14 @@ def missed(inputs: Inputs) -> NDArray[np.int64]:
 def dead(trace: Trace, inputs: Inputs, turned: float) -> Iterator[Finding]:
     """Inputs that never change while the shaft goes round, or stop to; `turned`: electrical revolutions covered."""
     changes, edges = trace.changes(), trace.edges
+    if not len(edges.tick) and turned >= DEAD_TURNS and np.count_nonzero(trace.codes) != 1:
+        yield Finding(
+            "dead",
+            "no Hall edge came while the shaft turned: all three sensors are dead, or the drive does not see edges",
+            (f"{turned:.1f} electrical revolutions by the encoder",),
+            "measure the supply of the sensors; if their levels change, look at the drive's edge capture",
+        )
+        return
     told = ", ".join(f"{name} {n}" for name, n in zip(INPUTS, changes, strict=True))
     for number, name in enumerate(INPUTS):
         high = float(trace.codes[np.arange(8) >> number & 1 == 1].sum()) / max(1, int(trace.codes.sum()))
@@ -107,14 +115,26 @@ def _stopped(inputs: Inputs, edges: Edges, flips: NDArray[np.int64]) -> bool:
 
 
 def _gone(inputs: Inputs, edges: Edges, last: int, until: int | None = None) -> float:
-    """Electrical revolutions that the shaft went away after an edge; without an encoder, those that two inputs show."""
-    theta = edges.theta[last : until and until + 1] / inputs.ratio
-    if np.isfinite(theta).any():
-        return float(np.ptp(theta[np.isfinite(theta)])) / math.tau
+    """Electrical revolutions that the shaft went away after an edge; without an encoder, those that two inputs show.
+
+    The most within a stretch: between stretches there may have been edges that were not kept.
+    """
+    behind = len(edges.tick) if until is None else until + 1
+    theta, stretch = edges.theta[last:behind] / (math.tau * inputs.ratio), edges.stretch[last:behind]
+    known = np.isfinite(theta)
+    if known.any():
+        return _farthest(theta[known], stretch[known])
     net = inputs.net
-    first, behind = np.searchsorted(net.at, (last, len(edges.tick) if until is None else until))
-    after = net.sectors[max(0, int(first) - 1) : int(behind)]
-    return float(np.ptp(after)) / 2.0 if len(after) else 0.0
+    since, end = max(0, int(np.searchsorted(net.at, last)) - 1), int(np.searchsorted(net.at, behind))
+    return _farthest(net.sectors[since:end] / 2.0, edges.stretch[net.at[since:end]])
+
+
+def _farthest(places: NDArray[np.float64], stretch: NDArray[np.int64]) -> float:
+    """The most by which places (n,) in one stretch are apart; 0 of none."""
+    if not len(places):
+        return 0.0
+    starts = np.flatnonzero(np.diff(stretch, prepend=stretch[0] - 1))
+    return float((np.maximum.reduceat(places, starts) - np.minimum.reduceat(places, starts)).max())
 
 
 def stuck(name: str, level: int) -> tuple[str, str]:
@@ -151,7 +171,7 @@ def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
         mostly = (lopsided or seldom) and int(np.count_nonzero(own)) > BROKEN
         if away <= BROKEN and not mostly:
             continue
-        share = float(returns.width[own & (returns.high == (level > 0.5))].sum()) / max(trace.seconds, 1e-9)
+        share = float(returns.width[own & (returns.high == (level > 0.5))].sum()) / max(trace.measured, 1e-9)
         words = [
             f"{windows} times it did not change where it should have" if windows else "",
             f"{int(np.count_nonzero(own))} times it went away and came back, {percent(share)} of the time"

@@ -32,16 +32,6 @@ LONG_ENOUGH = 1.0
 
 WHOLE = 0.05
 """Pole pairs by which a ratio may miss a whole number, or a tenth of that of ten: it is known to some thousandths."""
-RATIO_OFF = 0.25
-"""`bench live`: of one, by which that ratio may be off. A run counts sectors in blocks, edge by edge as they come, and
-does not know at which angle each edge came: it cannot see whether they repeat, so only the ratio tells, and a block's
-ends cost up to a sector each."""
-POLE_PAIR_OFF = 0.5
-"""`bench live`: pole pairs by which the ratio may be off once the shaft has turned `ROUNDS`."""
-ROUNDS = 2.0
-"""Revolutions of the shaft, from which on half a pole pair shows in the ratio."""
-COMPARED_TURNS = 3.0
-"""Electrical revolutions from which on `bench live` compares: with fewer a block's ends weigh too much."""
 
 # -- wires ---------------------------------------------------------------------------------------------------------
 
@@ -51,8 +41,8 @@ MARGIN = math.radians(12.0)
 """rad from an ideal edge in which samples do not count: as far as sensors of public tables are misplaced (8.4 deg at
 most), with what hysteresis and delay add."""
 LEAST_SEEN = 100
-"""`bench live`: samples in each sector with which wires are judged. `bench hall check` asks for `LEAST_TURNS` instead:
-a drive that is told to stand trembles over some sectors for seconds."""
+"""`bench live`: samples in each sector with which wires are judged of a shaft that turned less than `LEAST_TURNS`: with
+wires exchanged a motor may not start. `bench hall check` turns it, or asks for more."""
 STILL = 0.01
 """Share of time, and of the changes of the others, in which an input that never changes may have changed."""
 DEAD_TURNS = 3.0

@@ -24,7 +24,7 @@ from bench.signal.edge_fit import OPENS
 from bench.signal.hall_edges import Measured, mean_angle
 from bench.signal.position import wrap
 from bench.signal.reference import BackEmf
-from bench.signal.trace import INPUTS
+from bench.signal.trace import INPUTS, Trace
 from bench.signal.waveforms.samples import checked
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS, sector_of_angle
 from protocol.signals import SECTOR_OF_CODE
@@ -129,28 +129,18 @@ def _wirings() -> dict[str, list[int]]:
 _WIRINGS = _wirings()
 
 
-class Wires:
-    """The Hall codes of a run over the encoder's angle, in pieces.
+def by_samples(trace: Trace) -> Iterator[Finding]:
+    """The wiring, where it is a known fault, of a shaft that turned too little to be measured: by codes over the angle.
 
-    `declared`: the drive's `hall_offset`, rad; None where it has none: wires that are rotated look like a ring that is
-    turned, and are not named then.
+    Where the drive does not say where its ring sits, wires that are rotated look like a ring that is turned.
     """
-
-    def __init__(self, declared: float | None) -> None:
-        self._declared = declared
-        self._counts = np.zeros((SECTORS, 8), np.int64)
-
-    def add(self, theta: NDArray[np.float64], hall: NDArray[np.uint8]) -> None:
-        """Samples: electrical angle, rad, and code. One that is not finite, or no code, tells nothing of the wires."""
-        told = np.isfinite(theta) & (hall < 8)
-        self._counts += tally(theta[told] - (self._declared or 0.0), hall[told])
-
-    def findings(self) -> Iterator[Finding]:
-        """The wiring, where it is a known fault."""
-        if self._counts.sum(axis=1).min() >= LEAST_SEEN:
-            found = Diagnosis(*explained(self._counts), int(self._counts.sum()), 0)
-            if self._declared is not None or "rotated" not in found.best:
-                yield from miswired(found, zero_known=False)
+    declared, some = trace.parameters.get("hall_offset"), trace.some
+    told = np.isfinite(some.theta)
+    counts = tally(some.theta[told] - (declared or 0.0), some.hall[told])
+    if trace.codes.any() and counts.sum(axis=1).min() >= LEAST_SEEN:
+        found = Diagnosis(*explained(counts), int(counts.sum()), 0)
+        if declared is not None or "rotated" not in found.best:
+            yield from miswired(found, zero_known=False)
 
 
 def miswired(found: Diagnosis, zero_known: bool) -> Iterator[Finding]:

@@ -24,9 +24,9 @@ from bench.errors import BenchError, NodeError
 from bench.findings import wiring
 from bench.findings.encoder import SLIPS, TELL, ahead
 from bench.findings.finding import Finding, degrees, percent
+from bench.findings.health import Health
 from bench.findings.thresholds import HYSTERESIS, LEARN_ASIDE, LEARN_LEG, LEARN_MOTOR, LEARN_SD, LEARN_WITHIN, SET
 from bench.findings.wiring import Wired
-from bench.hall.health import Health
 from bench.hall.lessons import Lessons
 from bench.rig.restore import not_put_back, put_back
 from bench.signal.edge_fit import OPENS

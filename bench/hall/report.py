@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.findings.health import Health, resolution, time_step
 from bench.findings.wiring import AS_SPECIFIED
-from bench.hall.health import Health, resolution, time_step
 from bench.hall.turning import Turned
 from bench.report.words import number
 from bench.signal.hall_edges import Edge, Passages, largest

@@ -134,7 +134,7 @@ def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
     estimates = {name for _, angle, speed in recorded.values() for name in (angle, speed) if name}
     wanted = {reference, *estimates, *status, *(name for name in (*INPUTS, *STATOR) if name in there)}
     scored = _Scored(course, kinds, reference, config.rate, parameters)
-    trace = Trace(course.samples, course.edges)
+    trace = Trace()
     for window in windows(pieces(channels=wanted), CONTEXT):
         trace.add(window)
         found = _estimates(window.samples, recorded)

@@ -49,7 +49,7 @@ class Delays(NamedTuple):
 
 def delays(capture: Capture) -> Delays:
     """Measure them, over all samples and edges of a shaft that turns."""
-    trace = Trace(len(capture), len(capture.edges))
+    trace = Trace()
     trace.add(Window(capture, slice(0, len(capture))))
     return delays_of(trace)
 

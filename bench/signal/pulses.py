@@ -64,9 +64,7 @@ class Pulses:
 def count(trace: Trace, inputs: Inputs) -> Pulses:
     """Count what returned within a small part of a sector."""
     returns = inputs.returns
-    short = returns.travel < NEAR
-    bounces = short & returns.at_edge & _bouncing(returns, short)[returns.input]
-    pulses = short & ~bounces
+    bounces, pulses = kinds(returns)
     n = int(np.count_nonzero(pulses))
     bins: list[CurrentBin] = []
     excess = math.nan
@@ -75,7 +73,7 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
         if len(bounds) == BINS + 1:
             at = np.clip(np.searchsorted(bounds, returns.current[pulses], "right") - 1, 0, BINS - 1)
             per_bin = np.bincount(at, minlength=BINS)
-            time = trace.seconds_of_edges / BINS
+            time = trace.measured / BINS
             bins = [
                 CurrentBin(float(lo), float(hi), int(k), int(k) / time)
                 for lo, hi, k in zip(bounds[:-1], bounds[1:], per_bin, strict=True)
@@ -85,7 +83,7 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
     width = returns.width[bounces]
     return Pulses(
         n,
-        n / trace.seconds_of_edges,
+        n / trace.measured,
         _by_input(returns, pulses),
         _by_input(returns, pulses & returns.high),
         float(returns.width[pulses].max()) if n else math.nan,
@@ -94,6 +92,13 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
         tuple(bins),
         excess,
     )
+
+
+def kinds(returns: Returns) -> tuple[Bools, Bools]:
+    """Which of them are bounces, and which are pulses."""
+    short = returns.travel < NEAR
+    bounces = short & returns.at_edge & _bouncing(returns, short)[returns.input]
+    return bounces, short & ~bounces
 
 
 def _bouncing(returns: Returns, short: Bools) -> Bools:

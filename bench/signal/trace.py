@@ -3,16 +3,15 @@
 Edges of which no angle is known (beside a gap, or before the first sample) and edges of a shaft that hardly moves are
 counted apart. Nothing here judges.
 
-What is counted is counted over all of it; of more than `MOST` samples and `MOST_EDGES` edges so many evenly spread ones
-are kept to measure from.
+What is counted is counted over all of it; to measure from, evenly spread ones are kept, at most `MOST` samples and
+`MOST_EDGES` edges: whenever there are more, half of them go.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
+from bench.signal.chunks import contiguous
 from bench.signal.position import running
 from bench.signal.windows import Window, windows
 from protocol.streams import EdgeChunk, SampleChunk
@@ -30,14 +30,18 @@ Ints = NDArray[np.int64]
 
 STATOR = ("u_alpha", "u_beta", "i_a", "i_b")
 """Channels that the back-EMF is made of."""
+LOOKED_AT = ("hall", "status", "i_d", "i_q", *STATOR)
+"""Channels that are looked at, and the encoder's angle."""
 SLOW = 5.0
 """Electrical rad/s, below which the direction of a shaft is not sure."""
 SLOPE = 8e-3
 """s on either side of a sample over which the speed is taken."""
 AROUND = 2.0 * SLOPE
 """s on either side of a piece, from which the speed at its ends is told."""
-MOST, MOST_EDGES, BLOCK = 500_000, 1_000_000, 60
-"""Samples and edges that are measured from at most; of more edges so many in a row are taken."""
+MOST, MOST_EDGES, BLOCK = 500_000, 300_000, 60
+"""Samples and edges that are measured from at most; of edges so many in a row are kept."""
+BITS = 32
+"""Of the number of a block, below that of the stretch: a block is a stretch where not all are kept."""
 INPUTS = "abc"
 
 
@@ -83,14 +87,18 @@ Arrays = TypeVar("Arrays", Some, Edges)
 
 
 class Trace:
-    """A stretch of time in which a shaft turned, put together window by window.
+    """A stretch of time in which a shaft turned, put together window by window; it may be read in between.
 
-    `samples`, `edges`: about how many there will be. `some`, `edges` and `pulses` are read when all has been added.
+    `most`, `most_edges`: samples and edges that are kept to measure from; 0: `MOST` and `MOST_EDGES`.
     """
 
-    def __init__(self, samples: int, edges: int) -> None:
-        self._every, self._every_block = -(-samples // MOST) or 1, -(-edges // MOST_EDGES) or 1
-        self._stretches = 0
+    def __init__(self, most: int = 0, most_edges: int = 0) -> None:
+        self._most, self._most_edges = most or MOST, most_edges or MOST_EDGES
+        self._every = self._every_block = 1
+        self.breaks = 0
+        """Gaps, of samples and of edges."""
+        self.came = 0
+        """Edges, kept or not."""
         self.tick_hz = 0
         self.samples = 0
         """How many there are."""
@@ -113,20 +121,23 @@ class Trace:
         """What was lost, as a `Capture` has it."""
         self._some: list[Some] = []
         self._edges: list[Edges] = []
+        self._kept = self._kept_edges = 0
         self._angle: float | None = None  # the last one, unwrapped
 
-    @cached_property
+    @property
     def some(self) -> Some:
         """Some of the samples, evenly spread."""
-        return _together(Some, self._some)
+        self._some = [_together(Some, self._some)]
+        return self._some[0]
 
-    @cached_property
+    @property
     def edges(self) -> Edges:
         """Edges, some in a row each, evenly spread; no angle is known beside a gap."""
-        return _together(Edges, self._edges)
+        self._edges = [_together(Edges, self._edges)]
+        return self._edges[0] if self._every_block > 1 else _in_a_row(self._edges[0])
 
-    def add(self, window: Window) -> None:
-        """Add a window, which has `SLOPE` on either side of its own samples, or more."""
+    def add(self, window: Window) -> Edges:
+        """Add a window, which has `SLOPE` on either side of its own samples, or more. Returns its edges."""
         capture, own = window.capture, window.own
         config, tick = capture.samples.config, capture.samples.tick
         self.parameters, self.pwm_hz, self.tick_hz = capture.parameters, config.pwm_hz, config.tick_hz
@@ -141,15 +152,16 @@ class Trace:
         theta = omega = np.full(len(capture), math.nan)
         if self.encoder:
             theta = self._unwrapped(capture.theta, own)
-            omega = speed(theta, capture.t)
+            omega = np.concatenate([speed(theta[rows], capture.t[rows]) for rows in contiguous(capture.samples)])
             way = omega[own] * self.sample_time / math.tau
             moving = np.abs(omega[own]) >= SLOW
             self.up += float(way[moving & (way > 0)].sum())
             self.down -= float(way[moving & (way < 0)].sum())
         current = _current(capture)
         self._add_some(capture, own, hall, theta, omega, current)
-        self._add_edges(capture, theta, omega, current)
+        edges = self._add_edges(capture, theta, omega, current)
         self.samples += own.stop - own.start
+        return edges
 
     def _unwrapped(self, theta: Floats, own: slice) -> Floats:
         """The angle as it goes on from the window before: what does not repeat with it does so over all of them."""
@@ -167,8 +179,13 @@ class Trace:
             u, i = stator(capture)
         columns = (capture.samples.tick, hall, theta, omega, current, u, i, driven(capture))
         self._some.append(Some(*(column[at] for column in columns)))  # type: ignore[arg-type]
+        self._kept += len(at)
+        while self._kept > self._most:
+            self._every *= 2
+            self._some = [_of(self.some, slice(None, None, 2))]
+            self._kept = len(self._some[0].tick)
 
-    def _add_edges(self, capture: Capture, theta: Floats, omega: Floats, current: Floats) -> None:
+    def _add_edges(self, capture: Capture, theta: Floats, omega: Floats, current: Floats) -> Edges:
         raw = capture.edges
         tick, old, new = raw.tick, raw.hall_old.astype(np.int64) & 7, raw.hall_new.astype(np.int64) & 7
         used = np.ones(len(tick), bool)
@@ -184,11 +201,21 @@ class Trace:
         np.add.at(self.changed, (old[used], new[used]), 1)
         near = np.clip(np.searchsorted(capture.samples.tick, tick), 0, len(current) - 1)
         breaks = np.sort(np.append(_after_gaps(capture.samples), _after_gaps(raw)))
-        block = raw.index // BLOCK
-        stretch = self._stretches + np.searchsorted(breaks, tick, "right") + (block if self._every_block > 1 else 0)
-        self._stretches += len(breaks)
-        columns = (tick, old, new, angle, rate, current[near], stretch)
-        self._edges.append(Edges(*(column[block % self._every_block == 0] for column in columns)))
+        stretch = self.breaks + np.searchsorted(breaks, tick, "right")
+        self.breaks += len(breaks)
+        added = Edges(tick, old, new, angle, rate, current[near], (stretch << BITS) + raw.index // BLOCK)
+        self._edges.append(self._evenly(added))
+        self.came += len(tick)
+        self._kept_edges += len(self._edges[-1].tick)
+        while self._kept_edges > self._most_edges:
+            self._every_block *= 2
+            self._edges = [self._evenly(_together(Edges, self._edges))]
+            self._kept_edges = len(self._edges[0].tick)
+        return _in_a_row(added)
+
+    def _evenly(self, edges: Edges) -> Edges:
+        """Those of the blocks that are kept."""
+        return _of(edges, (edges.stretch & (1 << BITS) - 1) % self._every_block == 0)
 
     @property
     def count(self) -> float:
@@ -197,14 +224,14 @@ class Trace:
         return float(np.median(np.diff(theta))) if self.encoder and 2 < len(theta) < len(self.some.theta) / 2 else 0.0
 
     @property
-    def seconds_of_edges(self) -> float:
-        """Time that the edges are of: all of it, but where of more than `MOST_EDGES` some are taken."""
-        return self.seconds / self._every_block
-
-    @property
     def seconds(self) -> float:
         """Time covered by samples."""
         return self.samples * self.sample_time
+
+    @property
+    def measured(self) -> float:
+        """Time of the edges that were kept, s."""
+        return self.seconds * (self._kept_edges / self.came if self.came else 1.0)
 
     def changes(self) -> list[int]:
         """How often each input changed."""
@@ -230,12 +257,9 @@ class Trace:
         return still
 
 
-def trace_of(captures: Iterable[Capture], samples: int, edges: int) -> Trace:
-    """The trace of captures that follow each other; `samples`, `edges`: about how many there are.
-
-    BenchError without samples, and without the channel `hall`.
-    """
-    found = Trace(samples, edges)
+def trace_of(captures: Iterable[Capture]) -> Trace:
+    """The trace of captures that follow each other. BenchError without samples, and without the channel `hall`."""
+    found = Trace()
     for window in windows(captures, AROUND):
         if "hall" not in window.capture:
             raise BenchError("the channel 'hall' was not recorded: record it (bench live --save, all channels)")
@@ -246,7 +270,18 @@ def trace_of(captures: Iterable[Capture], samples: int, edges: int) -> Trace:
 
 
 def _together(kind: type[Arrays], parts: list[Arrays]) -> Arrays:
+    if len(parts) == 1:
+        return parts[0]
     return kind(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(kind)))
+
+
+def _of(arrays: Arrays, which: NDArray[np.bool_] | slice) -> Arrays:
+    return type(arrays)(*(getattr(arrays, field.name)[which] for field in fields(arrays)))
+
+
+def _in_a_row(edges: Edges) -> Edges:
+    """With the stretches of edges of which all were kept."""
+    return replace(edges, stretch=edges.stretch >> BITS)
 
 
 def _known(at: Ints, tick: Ints, period: float) -> NDArray[np.bool_]:

@@ -25,7 +25,7 @@ from virtual_run import RecordingScreen, WatchedLink, at_rest, never_armed, phys
 
 from bench.cli import cli, main
 from bench.errors import BenchError, UnsafeError
-from bench.hall.health import Health, examine
+from bench.findings.health import Health, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from bench.record.reader import Run

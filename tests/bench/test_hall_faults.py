@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from bench.hall.health import examine
+from bench.findings.health import examine
 from bench.hall.trace import trace
 from tests.bench.hall_cases.drives import healthy
 from tests.bench.hall_cases.faults import Case, cases

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hall_motor import REAL, TABLE_I, Motor, capture
 
-from bench.hall.health import Health, examine
+from bench.findings.health import Health, examine
 from bench.hall.report import WIDTH, as_json, edge_rows, fact_rows, tables, verdict_lines
 from bench.hall.trace import trace
 from bench.signal.verdict import Verdict

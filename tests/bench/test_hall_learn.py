@@ -19,7 +19,7 @@ from bench.cli import main
 from bench.device.client import Client
 from bench.device.node import LOAD, Node
 from bench.errors import BenchError, NodeError
-from bench.hall.health import examine
+from bench.findings.health import examine
 from bench.hall.learn import Learnt, learnt, save, write
 from bench.hall.trace import trace
 from bench.signal.verdict import Verdict

@@ -19,7 +19,7 @@ from virtual_run import run, simulated
 
 from bench.cli import main
 from bench.errors import BenchError
-from bench.hall.health import examine
+from bench.findings.health import examine
 from bench.hall.learn import Learnt, learnt
 from bench.hall.trace import trace
 from bench.signal.verdict import Verdict

@@ -22,7 +22,7 @@ import pytest
 from moteus_captures import NAMES, NEIGHBOURS, displacements_deg, needs_captures, read, shares_deg, unpacked, write
 
 from bench.cli import main
-from bench.hall.health import examine
+from bench.findings.health import examine
 from bench.hall.report import WIDTH, as_json
 from bench.hall.trace import trace
 from bench.hall.turning import Turned

@@ -21,7 +21,6 @@ from bench.findings.finding import Finding
 from bench.findings.sensors import Codes
 from bench.findings.thresholds import CLOUDED, LEAST_PASSAGES, LEAST_REACH, LEAST_TURNS
 from bench.findings.wiring import Diagnosis, diagnose
-from bench.rig.outcome import RunOutcome
 from bench.signal import hall_edges, pulses, reference
 from bench.signal.delays import AGREE, Delays, delays_of
 from bench.signal.hall_edges import Measured
@@ -57,11 +56,14 @@ class Health:
     @property
     def exit_code(self) -> int:
         """Of the command: 0 healthy, 1 something is wrong, 2 the data are insufficient."""
-        return RunOutcome.of(self.verdict).exit_code
+        return self.verdict.exit_code
 
 
-def examine(trace: Trace, further: str = "") -> Health:
-    """Name what is wrong. `further`: how to turn the shaft more if it turned too little, in words."""
+def examine(trace: Trace, further: str = "", still_named: bool = False) -> Health:
+    """Name what is wrong. `further`: how to turn the shaft more if it turned too little, in words.
+
+    `still_named`: whether wires are named even then, by samples: a motor that cannot start turns no further.
+    """
     measured = hall_edges.measure(trace)
     inputs = measured.inputs
     turns, found_pulses, codes = reference.turns(trace, inputs), pulses.count(trace, inputs), _codes(trace, inputs)
@@ -75,7 +77,7 @@ def examine(trace: Trace, further: str = "") -> Health:
             + ": turn the shaft forward and reverse"
             + (f", {further}" if further else "")
         )
-        findings: list[Finding] = []
+        findings: list[Finding] = [*wiring.by_samples(trace)] if still_named else []
     else:
         broken = [*sensors.dead(trace, inputs, covered)] or [*sensors.contacts(trace, inputs, codes)]
         findings = [
