@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bench.record.layout import EDGES, SAMPLES
+from bench.record.layout import SAMPLES
 from bench.record.reader import Run, captures
 from bench.report import style
 from bench.report.plots import edge_axes
@@ -25,8 +25,7 @@ from bench.signal.waveforms.sectors import NUMERALS
 def edges_of(run: Run, first: int, last: int) -> Measured | None:
     """What was measured of the ticks `first` to `last`; None without a single edge of a shaft that turns."""
     wanted = ("hall", reference_angle(run.config(SAMPLES).channels))
-    found = trace_of(captures(run, first, last, wanted), *(run.rows(name, first, last) for name in (SAMPLES, EDGES)))
-    measured = measure(found)
+    measured = measure(trace_of(captures(run, first, last, wanted)))
     return None if measured.blind or measured.fit is None else measured
 
 
