@@ -19,7 +19,7 @@ BY_FAULT = [chosen(name, of, 1)[0] for name, of in itertools.groupby(cases(), la
 
 def test_faults_are_named_and_nothing_else_is() -> None:
     wrong = []
-    for case in chosen("Hall faults", BY_FAULT, 16):
+    for case in chosen("Hall faults", BY_FAULT, 12):
         health = examine(trace(case.recording.capture()))
         said = [(finding.code, finding.cause) for finding in health.findings]
         if case.judged(str(health.verdict), said) not in ("right", "cannot tell"):
@@ -28,7 +28,7 @@ def test_faults_are_named_and_nothing_else_is() -> None:
 
 
 def test_healthy_drives_are_not_accused() -> None:
-    seeds = chosen("healthy drives", range(2000), 8)
+    seeds = chosen("healthy drives", range(2000), 6)
     found = {seed: examine(trace(healthy(seed).capture())).findings for seed in seeds}
     wrong = {seed: findings for seed, findings in found.items() if findings}
     assert len(wrong) <= 1, wrong
