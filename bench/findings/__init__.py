@@ -3,10 +3,11 @@
 health       all of what is wrong with Hall sensors, their wires and the encoder, in order
 finding      what a detector yields
 thresholds   how much is wrong: all of it in one table, with where each comes from
-wiring       Hall wires exchanged, inverted, open, shorted
+wiring       Hall wires exchanged, rotated, inverted, and where the ring of sensors stands
 encoder      its zero, its direction, its lines; pole pairs; whether it stays with the shaft
 late         which of a drive's angles comes late
-sensors      inputs that never change, sensors off their places, edges that do not stand still, false pulses, contacts
+sensors      inputs that never change, contacts, bounces, false pulses
+edges        sensors off their places, magnets, edges that come late or do not repeat
 motor        the flux linkage that the firmware takes the motor to have
 motion       speed, currents and position errors of a run that turned a motor
 

@@ -9,14 +9,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-import numpy as np
-
 from bench.findings.finding import Finding, degrees, percent
-from bench.findings.thresholds import BACKWARDS, DISPLACED, NO_HYSTERESIS, SET, SLIPPED, SURE, WHOLE, ZERO
+from bench.findings.thresholds import (
+    BACKWARDS,
+    CLOUDED,
+    DISPLACED,
+    MOST_LATE,
+    NEAR_ONE,
+    NO_HYSTERESIS,
+    OFTEN,
+    SET,
+    SLIPPED,
+    SURE,
+    WHOLE,
+    ZERO,
+)
 from bench.signal.edge_fit import MOST_STEPS, EdgeFit, Step
 from bench.signal.hall_edges import Measured
-from bench.signal.hall_inputs import ALIKE, STOPPED
-from bench.signal.position import wrap
+from bench.signal.hall_inputs import UNSURE
+from bench.signal.position import wrapped
 from bench.signal.reference import BackEmf, Turns
 
 TELL = "record u_alpha, u_beta, i_a and i_b while the drive turns the motor: its back-EMF shows which"
@@ -24,14 +35,6 @@ BY_HAND = (
     "turn the shaft by one revolution by hand: theta_enc then passes n_p electrical revolutions, if its lines are right"
 )
 SLIPS = "look for a slipping coupling, a loose disc, and lost counts"
-OFTEN = 3
-"""Jumps of all edges together, from which on the encoder slips again and again."""
-MOST_LATE = 3000.0
-"""us that edges or encoder may be late: what is more is a slip."""
-UNSTEADY = 0.03
-"""Of the ratio of encoder to sectors, by which it scatters where they do not turn together."""
-NEAR_ONE = 0.004
-"""Of that ratio, that a drift may come to: more is lines, or pole pairs."""
 
 
 def zero(emf: BackEmf | None) -> Iterator[Finding]:
@@ -72,27 +75,23 @@ def ahead(emf: BackEmf | None) -> float:
     return emf.zero if abs(emf.zero) > within else 0.0
 
 
-def lines(measured: Measured, turns: Turns) -> Iterator[Finding]:
+def lines(measured: Measured, fit: EdgeFit, turns: Turns) -> Iterator[Finding]:
     """Encoder and sectors that do not turn alike: pole pairs, lines, or an encoder that slips all the time."""
     per_hall, scatter, n_p = measured.inputs.ratio, measured.inputs.scatter, turns.n_p
-    if math.isnan(per_hall):
-        return
     counted = (
         f"{turns.by_hall:.1f} electrical revolutions by the sectors, {turns.total:.1f} by the encoder: "
         f"{abs(per_hall):.3f} for each"
     )
-    if abs(per_hall) < STOPPED:
+    if measured.blind:
         yield Finding("encoder_slips", "the encoder does not turn with the shaft", (counted,), SLIPS)
         return
-    fit = measured.fit
-    like = abs(abs(per_hall) - 1.0) < ALIKE  # pulses scatter it, too: there the edges tell
-    steady = (like or scatter < UNSTEADY) and fit is not None and fit.aside < 0.3 * (fit.passages + fit.aside)
-    precise = abs(per_hall)
-    if fit is not None and steady:
-        precise = _scale(per_hall) / (1.0 - fit.common.drift / math.tau)
-    if steady and abs(precise - 1.0) < NEAR_ONE and len(fit.common.steps if fit is not None else ()) <= MOST_STEPS:
+    as_it_is = abs(measured.scale) == 1.0  # then edges tell more than the ratio, which pulses scatter
+    steady = (as_it_is or scatter < UNSURE) and fit.aside < CLOUDED * (fit.passages + fit.aside)
+    precise = abs(measured.scale) / (1.0 - fit.common.drift / math.tau)
+    like = abs(precise - 1.0) < NEAR_ONE
+    if steady and like and len(fit.common.steps) <= MOST_STEPS:
         return
-    if not steady or abs(precise - 1.0) < NEAR_ONE:
+    if not steady or like:
         yield Finding(
             "encoder_slips",
             "the encoder does not follow the shaft: it goes ahead and falls back again and again",
@@ -101,9 +100,8 @@ def lines(measured: Measured, turns: Turns) -> Iterator[Finding]:
         )
         return
     factor = 1.0 / precise
-    words = f"the encoder has {factor:.3g} times the lines that the drive takes it to have"
-    if factor < 1.0:
-        words = f"the encoder has 1/{precise:.3g} of the lines that the drive takes it to have"
+    share = f"{factor:.3g} times" if factor > 1.0 else f"1/{precise:.3g} of"
+    words = f"the encoder has {share} the lines that the drive takes it to have"
     if n_p is None:
         yield Finding("pole_pairs", f"n_p is wrong, or {words}", (counted,), BY_HAND)
         return
@@ -125,19 +123,16 @@ def lines(measured: Measured, turns: Turns) -> Iterator[Finding]:
     )
 
 
-def _scale(per_hall: float) -> float:
-    """What the angle was divided by before edges were fitted."""
-    return 1.0 if abs(abs(per_hall) - 1.0) < ALIKE else abs(per_hall)
-
-
-def index_came(measured: Measured, turns: Turns, declared: float | None, emf: BackEmf | None) -> Step | None:
+def index_came(
+    measured: Measured, fit: EdgeFit, turns: Turns, declared: float | None, emf: BackEmf | None
+) -> Step | None:
     """The one jump within the first turn of the shaft, which an index pulse makes; None where there is none.
 
     Nor is it one where the angle was right before it: by the back-EMF `emf` after it, or by the ring, which the drive
     takes to stand at `declared`.
     """
-    fit, net = measured.fit, measured.inputs.net
-    large = [] if fit is None else [step for step in fit.common.steps if abs(step.size) >= SLIPPED]
+    net = measured.inputs.net
+    large = [step for step in fit.common.steps if abs(step.size) >= SLIPPED]
     if len(large) != 1 or turns.n_p is None:
         return None
     [step] = large
@@ -150,16 +145,15 @@ def index_came(measured: Measured, turns: Turns, declared: float | None, emf: Ba
         after, within = measured.ring - declared, SET
     else:
         return step
-    off, was = (abs(float(wrap(np.array([angle]))[0])) for angle in (after, after - step.size))
-    return step if off <= max(was, within) else None
+    return step if abs(wrapped(after)) <= max(abs(wrapped(after - step.size)), within) else None
 
 
-def slipped(measured: Measured, index: Step | None, tick_hz: float, resolution: float) -> Iterator[Finding]:
+def slipped(
+    measured: Measured, fit: EdgeFit, index: Step | None, tick_hz: float, resolution: float
+) -> Iterator[Finding]:
     """Jumps of all edges together, and counts that get lost; `resolution`: rad rms to which an edge is known."""
-    fit = measured.fit
-    if fit is None:
-        return
-    large = [step for step in fit.common.steps if abs(step.size) >= max(SLIPPED, resolution)]
+    least = max(SLIPPED, resolution)
+    large = [step for step in fit.common.steps if abs(step.size) >= least]
     if len(large) >= OFTEN:
         yield Finding(
             "encoder_slips",
@@ -180,14 +174,14 @@ def slipped(measured: Measured, index: Step | None, tick_hz: float, resolution: 
             ),
             "look for a loose disc or coupling, or counts lost at that moment; the Hall sensors did not move",
         )
-    if fit.common.drifted > max(SLIPPED, resolution):
+    if fit.common.drifted > least:
         yield Finding(
             "encoder_drifts",
             f"the encoder drifts from the sectors by {degrees(fit.common.drift, 2)} a revolution (electrical)",
             (f"{degrees(fit.common.drifted)} between the farthest places; all edges move alike",),
             "look for counts that get lost (cable, supply, speed limit of the counter) and for a wrong number of lines",
         )
-    if not large and fit.common.drifted <= max(SLIPPED, resolution):
+    elif not large:
         yield from _between(measured, fit)
 
 
@@ -196,13 +190,13 @@ def _between(measured: Measured, fit: EdgeFit) -> Iterator[Finding]:
     both, sure = float(fit.hysteresis.mean()), SURE * float(fit.hysteresis_sd.max())
     if not (both < BACKWARDS - sure or both > NO_HYSTERESIS + sure):
         return
-    timed, late = not math.isnan(measured.delay), 1e6 * abs(both) / (2.0 * fit.speed)
+    timed, late = not math.isnan(measured.delay), abs(both) / (2.0 * fit.speed)
     slip = f"the encoder slipped by {degrees(both)} (electrical) between the two directions"
     why = "no sensor has a hysteresis below zero" if both < 0.0 else "sensors that are well have 0.2 to 2 deg"
     code, cause = "encoder_slipped", slip
     if not timed and late < MOST_LATE:
         code = "encoder_late" if both < 0.0 else "late_edges"
-        cause = f"edges come {late:.0f} us {'late' if both > 0.0 else 'before the encoder'}, or {slip}"
+        cause = f"edges come {1e6 * late:.0f} us {'late' if both > 0.0 else 'before the encoder'}, or {slip}"
     yield Finding(
         code,
         cause,

@@ -1,9 +1,10 @@
 """What is wrong with Hall sensors, their wires or the encoder they are compared with: causes in words, with evidence.
 
 A cause is named only on evidence that tells it from the others, and every one comes with its numbers. In this order:
-is there enough to go by; inputs that never change; pole pairs; the encoder's zero, direction and delay; the wiring
-(one fault of it at a time); where the sensors stand; false pulses. The encoder's zero, where no back-EMF was recorded,
-is taken to be right unless the wiring then makes no sense, and the words say what else it may be.
+is there enough to go by; inputs that are dead or make contact now and then; bounces and false pulses; whether the
+encoder turns with the sectors; its jumps, zero, direction and delay; the wiring and the ring; where the sensors stand.
+What is found first may hide the rest: then that is all that is said. The encoder's zero, where no back-EMF was
+recorded, is taken to be right, and the words say what else it may be.
 
 Nothing here talks to a drive or prints.
 """
@@ -22,7 +23,7 @@ from bench.findings.sensors import Codes
 from bench.findings.thresholds import CLOUDED, LEAST_PASSAGES, LEAST_REACH, LEAST_TURNS
 from bench.findings.wiring import Diagnosis, diagnose
 from bench.signal import hall_edges, pulses, reference
-from bench.signal.delays import AGREE, Delays, delays_of
+from bench.signal.delays import Delays, delays_of
 from bench.signal.hall_edges import Measured
 from bench.signal.hall_inputs import Inputs
 from bench.signal.pulses import Pulses
@@ -97,15 +98,17 @@ def examine(trace: Trace, further: str = "", still_named: bool = False) -> Healt
 def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     """What edges, encoder and back-EMF tell of each other; `steady`: whether no input disturbs the edges."""
     measured, turns, fit = health.measured, health.turns, health.measured.fit
-    if fit is None or (not steady and fit.aside > CLOUDED * (fit.passages + fit.aside)):
+    if fit is None:
+        return replace(health, missing=("no edges were passed at a speed that is known: turn the shaft on in one way",))
+    if not steady and fit.aside > CLOUDED * (fit.passages + fit.aside):
         return replace(health, missing=("what disturbs the inputs hides where their edges lie: mend that first",))
-    if contradicting := list(encoder.lines(measured, turns)):
+    if contradicting := list(encoder.lines(measured, fit, turns)):
         return replace(health, findings=tuple(contradicting))
     since = max((step.tick for step in fit.common.steps), default=0)
     emf, declared = reference.back_emf(trace, since), trace.parameters.get("hall_offset")
-    index = encoder.index_came(measured, turns, declared, emf)
-    jumped = list(encoder.slipped(measured, index, trace.tick_hz, resolution(trace, measured)))
-    delays = Delays(measured.delay if measured.delay_half_width < AGREE else math.nan, delays_of(trace, since).back_emf)
+    index, known = encoder.index_came(measured, fit, turns, declared, emf), resolution(trace, measured)
+    jumped = list(encoder.slipped(measured, fit, index, trace.tick_hz, known))
+    delays = delays_of(trace, measured, since)
     findings: list[Finding] = [*jumped, *(() if jumped else encoder.zero(emf))]
     notes: list[Finding] = []
     if index is not None:
@@ -118,15 +121,9 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     findings += [finding for finding in wired if not (reversed_too and finding.code == "encoder_reversed")]
     if edges.enough(measured):
         findings += [*edges.places(measured), *(() if jumped else edges.magnets(measured))]
-    if (
-        steady
-        and edges.enough(measured)
-        and not jumped
-        and not any(finding.code == "encoder_late" for finding in findings)
-    ):
-        findings += edges.late_edges(measured, time_step(trace))
-    if not findings and steady and edges.enough(measured):
-        findings += edges.unsteady(measured, resolution(trace, measured))
+        if steady and not jumped and not any(finding.code == "encoder_late" for finding in findings):
+            findings += edges.late_edges(measured, time_step(trace))
+        findings += edges.unsteady(measured, known) if steady and not findings else ()
     notes += [*wiring.ring(possible, emf is not None), *_delays(measured, findings)]
     return replace(
         health, findings=tuple(findings), missing=tuple(_thin(turns, measured)), notes=tuple(notes), emf=emf,

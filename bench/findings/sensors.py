@@ -201,6 +201,8 @@ def _levels(edges: Edges) -> NDArray[np.float64]:
 
 def bounces(inputs: Inputs, found: Pulses, broken: Iterable[Finding]) -> Iterator[Finding]:
     """Inputs that change more than once at an edge; `broken`: as in `false_pulses`."""
+    ratio = f"{abs(inputs.ratio):.3f} electrical revolutions by the encoder for each by the sectors, returns left out"
+    agrees = () if math.isnan(inputs.ratio) else (ratio,)
     for number, name in enumerate(INPUTS):
         n, edges = found.bounces[number], int(np.count_nonzero(inputs.changes.input == number))
         if n < PULSES or n < BOUNCES * edges or _named(name, broken):
@@ -212,7 +214,7 @@ def bounces(inputs: Inputs, found: Pulses, broken: Iterable[Finding]) -> Iterato
             (
                 f"{n} returns at {edges} edges, each within a small part of a sector of one; half of them within "
                 f"{middle:.0f} us, the longest {widest:.0f} us",
-                "sectors gone, counted with their sign, agree with the rest: neither encoder nor n_p is doubted",
+                *agrees,
             ),
             f"give input {name} hysteresis (a Schmitt trigger) and a filter, or let the firmware ignore a return",
         )

@@ -93,6 +93,12 @@ ECCENTRIC, SINE = math.radians(0.35), math.radians(4.0)
 LATE_EDGES, TOLD_LATE = 350e-6, 40e-6
 """s by which edges may come late, unless that is `DISPLACED` at the fastest; and from which on it is told: 66 us
 falling and 150 us rising were measured on e-bikes, 275 us between the two on a hub motor."""
+OFTEN = 3
+"""Jumps of all edges together, from which on the encoder slips again and again."""
+MOST_LATE = 3e-3
+"""s that edges or encoder may be late: what is more is a slip."""
+NEAR_ONE = 0.004
+"""Of the ratio of encoder to sectors, that a drift may come to: more is lines, or pole pairs."""
 SLIPPED = math.radians(1.5)
 """rad by which all edges may jump, or drift in all: what is less does no harm, and is taken out."""
 NO_HYSTERESIS, BACKWARDS = math.radians(6.0), math.radians(-1.5)

@@ -22,7 +22,7 @@ from bench.findings.sensors import stuck
 from bench.findings.thresholds import LEAST_SEEN, LEAST_SHARE, MARGIN, NAMED, SET, ZERO
 from bench.signal.edge_fit import OPENS
 from bench.signal.hall_edges import Measured, mean_angle
-from bench.signal.position import wrap
+from bench.signal.position import wrap, wrapped
 from bench.signal.reference import BackEmf
 from bench.signal.trace import INPUTS, Trace
 from bench.signal.waveforms.samples import checked
@@ -171,6 +171,10 @@ class Wired(NamedTuple):
     ring: float
     """rad, of the edge that opens sector I."""
 
+    def off(self, target: float) -> float:
+        """rad by which the ring then stands from where it is taken to."""
+        return abs(wrapped(self.ring - target))
+
     @property
     def changes(self) -> int:
         """How many things are not as specified."""
@@ -223,12 +227,12 @@ def order(found: list[Wired], declared: float | None, zero_known: bool) -> Itera
     """
     target = declared or 0.0
     there = [wired for wired in found if wired.changes == 0]
-    near = sorted((w for w in found if w.changes == 1 and _off(w, target) < NAMED), key=lambda w: _off(w, target))
+    near = sorted((w for w in found if w.changes == 1 and w.off(target) < NAMED), key=lambda w: w.off(target))
     or_zero = () if zero_known else ("an encoder whose zero is off by as much looks the same; the back-EMF would tell",)
     if there:
         [ring] = there
         within = SET if zero_known else SET + ZERO
-        if declared is None or _off(ring, declared) <= within:
+        if declared is None or ring.off(declared) <= within:
             return
         stands = f"the ring stands at {degrees(ring.ring)}, and the drive takes it to stand at {degrees(declared)}"
         if near:
@@ -269,17 +273,13 @@ def order(found: list[Wired], declared: float | None, zero_known: bool) -> Itera
         )
 
 
-def _off(wired: Wired, target: float) -> float:
-    return abs((wired.ring - target + math.pi) % math.tau - math.pi)
-
-
 def ring(found: list[Wired], zero_known: bool) -> Iterator[Finding]:
     """Where the ring stands, and what would make it seem to stand there: a note, no fault."""
     for wired in found:
         if wired.changes:
             continue
         by = "the rotor flux" if zero_known else "the encoder's zero"
-        other = [w.name for w in found if w.changes == 1 and _off(w, 0.0) < NAMED and w.inverted in (0, 7)]
+        other = [w.name for w in found if w.changes == 1 and w.off(0.0) < NAMED and w.inverted in (0, 7)]
         seems = f"; {other[0]} would look the same" if other else ""
         yield Finding("ring", f"the ring stands at {degrees(wired.ring)} by {by} (hall_offset){seems}")
 

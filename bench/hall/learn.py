@@ -31,6 +31,7 @@ from bench.hall.lessons import Lessons
 from bench.rig.restore import not_put_back, put_back
 from bench.signal.edge_fit import OPENS
 from bench.signal.hall_inputs import Net
+from bench.signal.position import wrapped
 from bench.signal.verdict import Verdict
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS
 from protocol.errors import HbpError
@@ -99,7 +100,7 @@ def learnt(health: Health, parameters: Mapping[str, float]) -> Learnt:
         at = wired.sensors.index(sensor)
         edge = measured.edges[OPENS.index((at, rises ^ bool(wired.inverted >> at & 1)))]
         for way, passages in ((up, edge.up), (down, edge.down)):
-            way.append((offset + sector * SECTOR_WIDTH - passages.angle + math.pi) % math.tau - math.pi)
+            way.append(wrapped(offset + sector * SECTOR_WIDTH - passages.angle))
     assumed = DIRECTION if measured.inputs.ratio < 0.0 and health.emf is None else ""
     return _within(Learnt(tuple(up), tuple(down), _standard_deviation(health), {}, settings, assumed))
 
@@ -128,14 +129,11 @@ def _wired(health: Health, parameters: Mapping[str, float]) -> Wired:
     BenchError where they can tell none.
     """
     declared, hats = parameters.get(OFFSET), all(name in parameters for name in HATS)
-
-    def off(wired: Wired) -> float:
-        return abs((wired.ring - (declared or 0.0) + math.pi) % math.tau - math.pi)
-
+    target = declared or 0.0
     found = wiring.possible(health.measured, health.emf)
-    fit = [w for w in found if (hats or not w.changes) and (declared is not None or off(w) < SET)]
+    fit = [w for w in found if (hats or not w.changes) and (declared is not None or w.off(target) < SET)]
     if fit:
-        return min(fit, key=lambda w: (w.changes, w.inverted.bit_count(), off(w)))
+        return min(fit, key=lambda w: (w.changes, w.inverted.bit_count(), w.off(target)))
     needed = [OFFSET] * (declared is None) + [*HATS] * (not hats)
     lacking = ADVICE.format(", ".join(needed))
     if health.findings:
@@ -150,8 +148,7 @@ def _settings(wired: Wired, parameters: Mapping[str, float]) -> dict[str, float]
     """What the drive's parameters have to be, those that it has; codes came through the wiring that it has now."""
     settings = {}
     if OFFSET in parameters:
-        off = (wired.ring - parameters[OFFSET] + math.pi) % math.tau - math.pi
-        settings[OFFSET] = parameters[OFFSET] if abs(off) < SET else wired.ring
+        settings[OFFSET] = parameters[OFFSET] if wired.off(parameters[OFFSET]) < SET else wired.ring
     if all(name in parameters for name in HATS):
         now, inverted = INPUT_OF_SENSOR[int(parameters[HATS[0]])], int(parameters[HATS[1]])
         settings[HATS[0]] = float(INPUT_OF_SENSOR.index(tuple(now[wired.sensors.index(k)] for k in range(3))))

@@ -1,9 +1,8 @@
 """Where Hall edges lie by the encoder, fitted: every edge of a whole turn of the shaft has its place and its history.
 
 What moves all edges together, revolution by revolution, is the encoder's: steps at a moment, a drift with the angle.
-What is left belongs to single edges: a
-place, a hysteresis, a delay of rising and of falling edges of each input, what each pole pair adds, and at last jitter.
-Passages far from all that are set aside and counted, after the fit.
+What is left belongs to single edges: a place, a hysteresis, a delay of rising and of falling edges of each input, what
+each pole pair adds, and at last jitter. Passages far from all that are set aside and counted, after the fit.
 
 Angles are electrical, rad, in the order of the codes: those of an encoder that counts the other way have the other
 sign. Nothing here knows what is right.
@@ -43,10 +42,10 @@ LEAST_SIDE, WHOLE = 2, 4
 """Revolutions on either side of a step, and edges that each must have."""
 FAR = 6.0
 """Times the scatter,"""
-WILD = math.radians(25.0)
-"""rad from the median of its kind, beyond which a passage does not count at first, unless they scatter by more."""
 LEAST_FAR = math.radians(1.5)
 """but at least so far from its place lies a passage that is set aside."""
+WILD = math.radians(25.0)
+"""rad from the median of its kind, beyond which a passage does not count at first, unless they scatter by more."""
 MOST_PAIRS, REPEATS = 40, 0.3
 """Pole pairs that are looked for, and the share of the scatter that must repeat with each turn of the shaft then."""
 SWINGS, SWING = 20.0, math.radians(1.0)
@@ -69,8 +68,6 @@ MOST, ROW = 50_000, 360
 """Passages that are fitted at most, and how many in a row."""
 VISITS = 3.0
 """Passages of each edge of a turn of the shaft, in the mean, with which pole pairs are told apart."""
-
-
 CHANGE = 0.1
 """Share by which a revolution may differ from the one before, where no encoder tells how the speed changed."""
 

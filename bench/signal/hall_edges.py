@@ -22,7 +22,7 @@ import numpy as np
 from bench.signal import hall_inputs
 from bench.signal.edge_fit import OPENS, EdgeFit, fitted, fitted_blind
 from bench.signal.hall_inputs import Inputs
-from bench.signal.position import wrap
+from bench.signal.position import wrap, wrapped
 from bench.signal.trace import INPUTS, Floats, Trace
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS
 from protocol.frames import data_frame
@@ -73,11 +73,11 @@ class Edge:
     @property
     def hysteresis(self) -> float:
         """Passed upwards minus passed downwards, rad; NaN unless both were."""
-        return _wrapped(self.up.angle - self.down.angle)
+        return wrapped(self.up.angle - self.down.angle)
 
     def delta(self, passages: Passages) -> float:
         """Ideal minus actual angle, rad in [-pi, pi): that of Table I of Kim et al. 2011, 10.1109/TIE.2010.2098367."""
-        return _wrapped(self.ideal - passages.angle)
+        return wrapped(self.ideal - passages.angle)
 
     @property
     def mean_delta(self) -> float:
@@ -109,6 +109,8 @@ class Measured:
     """None where too few edges were passed."""
     blind: bool
     """Whether no encoder told the angle."""
+    scale: float
+    """What its angle was divided by: 1 or -1 where it turns as the sectors do, else their ratio; NaN without one."""
 
     @property
     def placement(self) -> Floats:
@@ -181,7 +183,7 @@ def measure(trace: Trace) -> Measured:
     edges, n_p = trace.edges, trace.parameters.get("n_p")
     inputs = hall_inputs.read(edges, trace.tick_hz)
     pairs = None if n_p is None else max(1, round(n_p))
-    blind = not abs(inputs.ratio) > hall_inputs.STOPPED
+    blind, scale = not abs(inputs.ratio) > hall_inputs.STOPPED, math.nan
     if blind:
         fit, sign = fitted_blind(inputs, trace.tick_hz, pairs), 1.0
     else:
@@ -192,7 +194,7 @@ def measure(trace: Trace) -> Measured:
     ring = sign * mean_angle(fit.place - SECTOR_WIDTH * np.arange(SECTORS)) if fit is not None else math.nan
     offset = trace.parameters.get("hall_offset", 0.0)
     if not blind and sign > 0.0:
-        offset = offset if abs(_wrapped(ring - offset)) < SEEMS else ring
+        offset = offset if abs(wrapped(ring - offset)) < SEEMS else ring
         found = tuple(Edge(edge.sector, edge.up, edge.down, offset) for edge in found)
     places = [edge.ideal - edge.mean_delta for edge in found]
     widths = tuple((places[(s + 1) % SECTORS] - places[s]) % math.tau for s in range(SECTORS))
@@ -208,7 +210,7 @@ def measure(trace: Trace) -> Measured:
         half_width = _t(max(1, fit.passages)) * error
     outliers = 0 if fit is None else fit.aside
     return Measured(
-        found, math.nan if blind else ring, delay, half_width, outliers, duty, widths, inputs, fit, blind
+        found, math.nan if blind else ring, delay, half_width, outliers, duty, widths, inputs, fit, blind, scale
     )  # fmt: skip
 
 
@@ -227,7 +229,7 @@ def _edges(inputs: Inputs, fit: EdgeFit | None, sign: float) -> tuple[Edge, ...]
             n, jitter = int(fit.n[opened, column]), float(fit.jitter[opened, column])
             angle = sign * (fit.place[opened] + way * half) if n else math.nan
             error = math.hypot(float(fit.place_sd[opened]), spread)
-            ways.append(Passages(_wrapped(angle), _t(n - 1) * error if n > 1 else math.nan, jitter, n))
+            ways.append(Passages(wrapped(angle), _t(n - 1) * error if n > 1 else math.nan, jitter, n))
         up, down = ways if sign > 0.0 else ways[::-1]
         found[seen] = Edge(seen, up, down)
     return tuple(found)
@@ -262,7 +264,7 @@ def largest(values: Iterable[float]) -> float:
 
 def mean_angle(angles: Floats) -> float:
     """Circular mean in [-pi, pi) of angles (n,) in rad; NaN for none."""
-    return _wrapped(float(np.angle(np.exp(1j * angles).mean()))) if len(angles) else math.nan
+    return wrapped(float(np.angle(np.exp(1j * angles).mean()))) if len(angles) else math.nan
 
 
 QUANTILES = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622)
@@ -280,7 +282,3 @@ def _t(freedom: int) -> float:
     z, n = NORMAL, float(freedom)
     terms = (z**3 + z) / 4.0, (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0
     return z + terms[0] / n + terms[1] / n**2 + (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / (384.0 * n**3)
-
-
-def _wrapped(angle: float) -> float:
-    return (angle + math.pi) % math.tau - math.pi

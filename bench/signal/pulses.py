@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.signal.hall_inputs import NEAR, Bools, Inputs, Returns, bouncing
-from bench.signal.trace import Trace
+from bench.signal.trace import SLOW, Trace
 
 BINS = 4
 SURE = 3.0
@@ -42,8 +42,6 @@ class Pulses:
     rate: float
     """1/s over all of the recorded time."""
     by_input: tuple[int, ...]
-    high: tuple[int, ...]
-    """By input, those in which it read 1."""
     widest: float
     """s; NaN for none."""
     bounces: tuple[int, ...]
@@ -68,12 +66,14 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
     n = int(np.count_nonzero(pulses))
     bins: list[CurrentBin] = []
     excess = math.nan
-    if np.isfinite(trace.some.current).all() and np.isfinite(returns.current).all():
-        bounds = np.unique(np.quantile(trace.some.current, np.linspace(0.0, 1.0, BINS + 1)))
+    turns = np.abs(trace.some.omega) >= SLOW if trace.encoder else np.ones(len(trace.some.current), bool)
+    current = trace.some.current[turns]  # where it stands nothing is counted
+    if len(current) and np.isfinite(current).all() and np.isfinite(returns.current).all():
+        bounds = np.unique(np.quantile(current, np.linspace(0.0, 1.0, BINS + 1)))
         if len(bounds) == BINS + 1:
             at = np.clip(np.searchsorted(bounds, returns.current[pulses], "right") - 1, 0, BINS - 1)
             per_bin = np.bincount(at, minlength=BINS)
-            time = trace.measured / BINS
+            time = trace.measured * len(current) / len(turns) / BINS
             bins = [
                 CurrentBin(float(lo), float(hi), int(k), int(k) / time)
                 for lo, hi, k in zip(bounds[:-1], bounds[1:], per_bin, strict=True)
@@ -85,7 +85,6 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
         n,
         n / trace.measured,
         _by_input(returns, pulses),
-        _by_input(returns, pulses & returns.high),
         float(returns.width[pulses].max()) if n else math.nan,
         _by_input(returns, bounces),
         (float(np.median(width)), float(width.max())) if len(width) else (math.nan, math.nan),
