@@ -29,6 +29,7 @@ from bench.findings.thresholds import (
     SURE,
     SWINGING,
     TOLD_LATE,
+    TWICE,
 )
 from bench.signal.edge_fit import EACH, OPENS, EdgeFit
 from bench.signal.hall_edges import Measured
@@ -76,10 +77,10 @@ def places(measured: Measured) -> Iterator[Finding]:
             )
 
 
-def magnets(measured: Measured) -> Iterator[Finding]:
-    """Edges that lie elsewhere in each pole pair, and repeat with each turn of the shaft."""
+def magnets(measured: Measured, resolution: float) -> Iterator[Finding]:
+    """Edges that lie elsewhere in each pole pair and repeat with each turn of the shaft; `resolution`: rad rms."""
     fit = measured.fit
-    if fit is None or not fit.apart:
+    if fit is None or not fit.apart or resolution > PAIRS_OFF / 2.0:  # its steps beat with the speed
         return
     pairs, of_turn = fit.pairs.shape[1], fit.pairs.mean(axis=0)
     of_pair = np.array([np.roll(own, by) for own, by in zip(fit.pairs, SEEN_BY, strict=True)]).mean(axis=0)
@@ -92,7 +93,7 @@ def magnets(measured: Measured) -> Iterator[Finding]:
     uneven = of_turn - 2.0 / pairs * (np.vdot(wave, of_turn) * wave).real
     alike, rest = np.delete(of_pair, worst), max(1, pairs - 3)
     one = abs(alone) > PAIR_OFF and alike.var() * (pairs - 1) / max(1, pairs - 2) <= uneven.var() * pairs / rest
-    if not one and sine > max(ECCENTRIC * pairs, SINE) and uneven.std() < 0.5 * of_turn.std():
+    if not one and sine > max(ECCENTRIC * pairs, SINE) and uneven.std() < 0.4 * of_turn.std():
         yield Finding(
             "encoder_eccentric",
             f"the encoder's disc or the magnet ring is eccentric: all edges move by {degrees(sine)} once a turn",
@@ -124,7 +125,8 @@ def late_edges(measured: Measured, step: float) -> Iterator[Finding]:
     after = _late(fit, measured.blind) - step
     sure = after - SURE * fit.delay_sd
     which = (sure > LATE_EDGES) & (sure * fit.fastest > SCATTER) | (sure * fit.fastest > DISPLACED)
-    if which.any() and (not measured.blind or fit.unexplained < EACH):
+    told = not measured.blind or (fit.unexplained < EACH and fit.fastest > TWICE * fit.slowest)
+    if which.any() and told:
         yield Finding(
             "late_edges",
             f"{_kinds(which)} come up to {1e6 * float(_late(fit, measured.blind)[which].max()):.0f} us late",

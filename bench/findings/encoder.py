@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from bench.findings.finding import Finding, degrees, percent
 from bench.findings.thresholds import (
     BACKWARDS,
+    BEATS,
     CLOUDED,
     DISPLACED,
     MOST_LATE,
@@ -75,8 +76,19 @@ def ahead(emf: BackEmf | None) -> float:
     return emf.zero if abs(emf.zero) > within else 0.0
 
 
-def lines(measured: Measured, fit: EdgeFit, turns: Turns) -> Iterator[Finding]:
-    """Encoder and sectors that do not turn alike: pole pairs, lines, or an encoder that slips all the time."""
+def harms(resolution: float) -> float:
+    """rad by which all edges may jump, or drift; `resolution`: rad rms to which an edge is known.
+
+    The steps of times beat with the speed, and jump and drift as well.
+    """
+    return max(SLIPPED, BEATS * resolution)
+
+
+def lines(measured: Measured, fit: EdgeFit, turns: Turns, large: list[Step]) -> Iterator[Finding]:
+    """Encoder and sectors that do not turn alike: pole pairs, lines, or an encoder that slips all the time.
+
+    `large`: its jumps that harm.
+    """
     per_hall, scatter, n_p = measured.inputs.ratio, measured.inputs.scatter, turns.n_p
     counted = (
         f"{turns.by_hall:.1f} electrical revolutions by the sectors, {turns.total:.1f} by the encoder: "
@@ -89,7 +101,7 @@ def lines(measured: Measured, fit: EdgeFit, turns: Turns) -> Iterator[Finding]:
     steady = (as_it_is or scatter < UNSURE) and fit.aside < CLOUDED * (fit.passages + fit.aside)
     precise = abs(measured.scale) / (1.0 - fit.common.drift / math.tau)
     like = abs(precise - 1.0) < NEAR_ONE
-    if steady and like and len(fit.common.steps) <= MOST_STEPS:
+    if steady and like and len(large) <= MOST_STEPS:
         return
     if not steady or like:
         yield Finding(
@@ -124,7 +136,7 @@ def lines(measured: Measured, fit: EdgeFit, turns: Turns) -> Iterator[Finding]:
 
 
 def index_came(
-    measured: Measured, fit: EdgeFit, turns: Turns, declared: float | None, emf: BackEmf | None
+    measured: Measured, large: list[Step], turns: Turns, declared: float | None, emf: BackEmf | None
 ) -> Step | None:
     """The one jump within the first turn of the shaft, which an index pulse makes; None where there is none.
 
@@ -132,7 +144,6 @@ def index_came(
     takes to stand at `declared`.
     """
     net = measured.inputs.net
-    large = [step for step in fit.common.steps if abs(step.size) >= SLIPPED]
     if len(large) != 1 or turns.n_p is None:
         return None
     [step] = large
@@ -148,12 +159,9 @@ def index_came(
     return step if abs(wrapped(after)) <= max(abs(wrapped(after - step.size)), within) else None
 
 
-def slipped(
-    measured: Measured, fit: EdgeFit, index: Step | None, tick_hz: float, resolution: float
-) -> Iterator[Finding]:
-    """Jumps of all edges together, and counts that get lost; `resolution`: rad rms to which an edge is known."""
-    least = max(SLIPPED, resolution)
-    large = [step for step in fit.common.steps if abs(step.size) >= least]
+def slipped(measured: Measured, fit: EdgeFit, large: list[Step], index: Step | None, least: float) -> Iterator[Finding]:
+    """Its jumps but for that of the index, and counts that get lost; `least`: what `harms`."""
+    tick_hz = measured.tick_hz
     if len(large) >= OFTEN:
         yield Finding(
             "encoder_slips",

@@ -102,12 +102,15 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
         return replace(health, missing=("no edges were passed at a speed that is known: turn the shaft on in one way",))
     if not steady and fit.aside > CLOUDED * (fit.passages + fit.aside):
         return replace(health, missing=("what disturbs the inputs hides where their edges lie: mend that first",))
-    if contradicting := list(encoder.lines(measured, fit, turns)):
+    known = resolution(trace, measured)
+    least = encoder.harms(known)
+    jumps = [step for step in fit.common.steps if abs(step.size) >= least]
+    if contradicting := list(encoder.lines(measured, fit, turns, jumps)):
         return replace(health, findings=tuple(contradicting))
     since = max((step.tick for step in fit.common.steps), default=0)
     emf, declared = reference.back_emf(trace, since), trace.parameters.get("hall_offset")
-    index, known = encoder.index_came(measured, fit, turns, declared, emf), resolution(trace, measured)
-    jumped = list(encoder.slipped(measured, fit, index, trace.tick_hz, known))
+    index = encoder.index_came(measured, jumps, turns, declared, emf)
+    jumped = list(encoder.slipped(measured, fit, jumps, index, least))
     delays = delays_of(trace, measured, since)
     findings: list[Finding] = [*jumped, *(() if jumped else encoder.zero(emf))]
     notes: list[Finding] = []
@@ -120,7 +123,7 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     wired = [] if jumped else list(wiring.order(possible, declared, emf is not None))
     findings += [finding for finding in wired if not (reversed_too and finding.code == "encoder_reversed")]
     if edges.enough(measured):
-        findings += [*edges.places(measured), *(() if jumped else edges.magnets(measured))]
+        findings += [*edges.places(measured), *(() if jumped else edges.magnets(measured, known))]
         if steady and not jumped and not any(finding.code == "encoder_late" for finding in findings):
             findings += edges.late_edges(measured, time_step(trace))
         findings += edges.unsteady(measured, known) if steady and not findings else ()

@@ -82,6 +82,8 @@ SCATTER, SCATTER_ALL = math.radians(2.0), math.radians(4.0)
 by 1.4 deg rms in real motors, are not told apart, as much more."""
 CLOUDED = 0.3
 """Share of edges far from their places, beyond which nothing more is said of an encoder while inputs are disturbed."""
+TWICE = 2.0
+"""Times the slow revolutions that the fast ones must be, that edges without an encoder are called late."""
 SWINGING = 10.0 * math.tau
 """Electrical rad/s, below which a speed that swings scatters edges that no encoder measures."""
 ASIDE = 0.05
@@ -93,6 +95,9 @@ ECCENTRIC, SINE = math.radians(0.35), math.radians(4.0)
 LATE_EDGES, TOLD_LATE = 350e-6, 40e-6
 """s by which edges may come late, unless that is `DISPLACED` at the fastest; and from which on it is told: 66 us
 falling and 150 us rising were measured on e-bikes, 275 us between the two on a hub motor."""
+BEATS = 2.0 * math.sqrt(3.0)
+"""Times the resolution of edges, rms, that a jump must be: a step of the times, from end to end, for they stay at one
+while the speed beats with it."""
 OFTEN = 3
 """Jumps of all edges together, from which on the encoder slips again and again."""
 MOST_LATE = 3e-3
@@ -108,8 +113,8 @@ NO_HYSTERESIS, BACKWARDS = math.radians(6.0), math.radians(-1.5)
 
 ZERO = math.radians(2.5)
 """Off the rotor flux, from which on the encoder's zero is off: more than the back-EMF is wrong by."""
-LATE = 30e-6
-"""s, from which on a delay is one: the fits are good to about 10 us."""
+LATE = 50e-6
+"""s, from which on a delay is one: it is told where it is known to 25 us (95 %)."""
 OFF_BY = SECTOR_WIDTH
 """rad rms of a position error, above which an angle is no estimate: a Hall sector alone tells it better."""
 

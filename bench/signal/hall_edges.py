@@ -109,6 +109,8 @@ class Measured:
     """None where too few edges were passed."""
     blind: bool
     """Whether no encoder told the angle."""
+    tick_hz: int
+    """Of the ticks of its edges."""
     scale: float
     """What its angle was divided by: 1 or -1 where it turns as the sectors do, else their ratio; NaN without one."""
 
@@ -210,7 +212,8 @@ def measure(trace: Trace) -> Measured:
         half_width = _t(max(1, fit.passages)) * error
     outliers = 0 if fit is None else fit.aside
     return Measured(
-        found, math.nan if blind else ring, delay, half_width, outliers, duty, widths, inputs, fit, blind, scale
+        found, math.nan if blind else ring, delay, half_width, outliers, duty, widths, inputs, fit, blind,
+        trace.tick_hz, scale,
     )  # fmt: skip
 
 
