@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from bench.compare.compare import Comparison
     from bench.errors import BenchError
     from bench.export.export import Exported
-    from bench.hall.health import Health
+    from bench.findings.health import Health
     from bench.plot.plot import Plot
     from bench.record.recording import Recording, Source
     from bench.rig.drive import DriveTripped
@@ -201,7 +201,7 @@ def hall(run: Source, begin: float | None = None, end: float | None = None) -> H
     Raises:
         BenchError: no samples, no Hall edges, no channel `hall`.
     """
-    from bench.hall.health import examine
+    from bench.findings.health import examine
     from bench.hall.trace import Recorded, trace
     from bench.record.recording import run_of
     from bench.signal.capture import Capture

@@ -13,7 +13,7 @@ import math
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Self
+from typing import Self, cast
 
 from protocol.codes import OpenEnum
 
@@ -176,7 +176,7 @@ SECTOR_OF_CODE = (-1, 0, 2, 1, 4, 5, 3, -1)
 
 
 class HallSwap(IntEnum):
-    """Values of the load machine's parameter `hall_swap`: which wires of the drive's Hall sensors are exchanged."""
+    """Values of `hall_swap_hat`, and of the load machine's `hall_swap`: which Hall wires are exchanged."""
 
     NONE = 0
     A_B = 1  # a and b exchanged
@@ -184,6 +184,20 @@ class HallSwap(IntEnum):
     C_A = 3  # c and a exchanged
     A_ON_B = 4  # rotated: sensor a on input b, b on c, c on a
     A_ON_C = 5  # rotated the other way: a on c, c on b, b on a
+
+
+INPUT_OF_SENSOR = ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 1, 0), (1, 2, 0), (2, 0, 1))
+"""The inputs that sensors a, b, c are on, by `HallSwap`."""
+
+
+Eight = tuple[int, int, int, int, int, int, int, int]
+
+
+def hall_map(swap: float, invert: float) -> Eight:
+    """The Hall code by what the three inputs read, 0..7, for a drive's `hall_swap_hat` and `hall_invert_hat`."""
+    inputs = INPUT_OF_SENSOR[int(swap)]
+    codes = (sum(((pins ^ int(invert)) >> at & 1) << k for k, at in enumerate(inputs)) for pins in range(8))
+    return cast("Eight", tuple(codes))
 
 
 # Scales are float32 on the wire: what both ends compute with is the float32 value.
@@ -217,7 +231,7 @@ _LESSON = "which parameter lesson_value_ek is for: each in turn (see below)"
 _LESSON_VALUE = "value that the Kalman filter learned for this parameter, in its unit"
 
 DRIVE_CHANNELS: tuple[Signal, ...] = (
-    _channel(1, "hall", Unit.NONE, 1.0, "raw Hall code: bit 0 = sensor a, bit 1 = b, bit 2 = c", raw=RawType.U8),
+    _channel(1, "hall", Unit.NONE, 1.0, "Hall code: bit 0 = sensor a, bit 1 = b, bit 2 = c", raw=RawType.U8),
     _channel(2, "status", Unit.NONE, 1.0, "drive state, angle source and observer events (see Status)", raw=RawType.U8),
     _channel(3, "theta_enc", Unit.RAD, ANGLE, "electrical angle by the encoder", Flag.REFERENCE | Flag.WRAPS),
     _channel(4, "omega_enc", Unit.RAD_PER_S, SPEED, "electrical speed by the encoder, filtered", Flag.REFERENCE),
@@ -327,6 +341,11 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(148, "u_dc_max", Unit.V, 0.0, 1e3, _P, "DC link voltage above which the drive trips: OVERVOLTAGE"),
     Parameter(149, "dead_time_learn", Unit.NONE, 0, 1, _PW, "1 = learn and compensate what these two leave"),
     Parameter(150, "edge_sd", Unit.RAD, 0.0, 0.5, _P, "standard deviation common to all edges of one direction"),
+    Parameter(151, "hall_offset", Unit.RAD, -math.pi, math.pi, _PI, "ideal angle of the edge at the start of sector 1"),
+    Parameter(
+        152, "hall_swap_hat", Unit.NONE, 0, max(HallSwap), _PI | Flag.WHOLE, "Hall wires exchanged, see HallSwap"
+    ),
+    Parameter(153, "hall_invert_hat", Unit.NONE, 0, 7, _PI | Flag.WHOLE, "Hall inputs inverted, one bit each"),
 )
 
 LOAD_PARAMETERS: tuple[Parameter, ...] = (
@@ -339,4 +358,5 @@ LOAD_PARAMETERS: tuple[Parameter, ...] = (
     *_by_sector(107, "hall_delta", "edge: ideal minus actual angle, at the start of sector"),
     Parameter(113, "hall_invert", Unit.NONE, 0, 7, _PW, "Hall inputs inverted, one bit each"),
     Parameter(114, "hall_short", Unit.NONE, 0, 7, _PW, "Hall wires shorted, one bit each; the input reads 0"),
+    Parameter(115, "faults", Unit.NONE, 0, 1, _PW, "1 = the faults of the rig's own configuration are in force"),
 )

@@ -25,7 +25,7 @@ from bench.signal.verdict import Verdict
 
 if TYPE_CHECKING:
     from bench.cli.output import Progress
-    from bench.hall.health import Health
+    from bench.findings.health import Health
     from bench.hall.learn import Learnt
     from bench.hall.source import Options, Source
 
@@ -113,14 +113,16 @@ def check(source: str, json_file: Path | None, **given: Any) -> None:
               "recorded data; or the same filter in the drive, read out without turning the motor.")  # fmt: skip
 @click.option("--motor", is_flag=True, help="With --by filter or drive: also take psi_f_hat, R_s_hat and L_s_hat.")
 @click.option("--write", is_flag=True,
-              help="Write edge_up_1 … edge_down_6 and edge_sd to the drive, and read them back.")  # fmt: skip
+              help="Write edge_up_1 … edge_down_6 and edge_sd to the drive, and hall_offset, hall_swap_hat and "
+              "hall_invert_hat where they have to change; read them back.")  # fmt: skip
 @click.option("--store", is_flag=True, help="Like --write; the drive also stores all its parameters permanently.")
 @click.option("-o", "--out", metavar="FILE", type=FILE, help="Write the edges to this .toml or .json, for firmware.")
 def learn(source: str, json_file: Path | None, motor: bool, write: bool, out: Path | None, **given: Any) -> None:
     """Measure the edge angles of the Hall sensors, for observers that use them.
 
-    TARGET and RUN: see bench hall check --help. Refused if the check finds a fault. Without --write or --out,
-    the result is only shown. The drive keeps written values until it loses power; with --store, permanently.
+    TARGET and RUN: see bench hall check --help. Refused if the check finds a fault, other than a ring or wires that
+    the drive has parameters for. Without --write or --out, the result is only shown. The drive keeps written values
+    until it loses power; with --store, permanently.
 
     \b
     Examples:
@@ -153,7 +155,11 @@ def learn(source: str, json_file: Path | None, motor: bool, write: bool, out: Pa
             learning.save(out, edges)
             say(f"edges: {out}")
         if write and found.drive is not None:
-            say(f"{learning.write(found.drive, edges)} parameters written to node {found.drive.number} and read back")
+            changed = learning.write(found.drive, edges)
+            for name, (before, now) in changed.items():
+                if name in edges.settings:
+                    say(f"{name}: {before:.4g} -> {now:.4g}")
+            say(f"{len(changed)} parameters written to node {found.drive.number} and read back")
         if options.store and found.drive is not None:
             found.drive.store()
             say(f"node {found.drive.number} stored its parameters")
@@ -167,12 +173,16 @@ def _learnt(
     from bench.hall import learn as learning
     from bench.hall import lessons
 
+    parameters = found.turned.capture.parameters
     if options.by == "encoder":
-        return learning.learnt(_show(source, found, json_file, screen))
+        edges = learning.learnt(_show(source, found, json_file, screen), parameters)
+        if edges.assumed:
+            note(f"note: {edges.assumed}")
+        return edges
     learned = lessons.learned(found.turned.capture, options.by)
     told = {"lessons": lessons.as_json(learned)}
     if options.by == "filter":
-        learning.require_no_fault(_show(source, found, json_file, screen, told))
+        learning.require_no_fault(_show(source, found, json_file, screen, told), parameters)
     elif json_file is not None:
         write_json(json_file, {"source": source, **told})
     screen.pause()
@@ -228,8 +238,8 @@ def _show(
 ) -> Health:
     """Examine what was recorded; print it, or write it as JSON, with `more` in it."""
     from bench.cli.output import pairs, table
+    from bench.findings.health import examine
     from bench.hall import report
-    from bench.hall.health import examine
     from bench.hall.trace import trace
 
     looked_at = trace(found.turned.capture)
@@ -241,16 +251,11 @@ def _show(
             return health
     pairs(f"Hall sensors of {source}", report.fact_rows(health, looked_at, found.turned))
     echo()
-    for headers, rows, title in (
-        (report.EDGE_HEADERS, report.edge_rows(health), report.EDGE_TITLE),
-        (report.SENSOR_HEADERS, report.sensor_rows(health, looked_at.seconds), ()),
-        (report.CURRENT_HEADERS, report.current_rows(health), ()),
-    ):
-        if rows:
-            for line in title:
-                echo(line)
-            table(headers, rows)
-            echo()
+    for title, headers, rows in report.tables(health, looked_at.seconds):
+        for line in title:
+            echo(line)
+        table(headers, rows)
+        echo()
     for line in report.verdict_lines(health, found.turned.remarks):
         echo(line)
     return health

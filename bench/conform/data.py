@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from bench.conform.checks import Carrier, Group
-from bench.conform.device import Block, Configured, Device, ids, width
+from bench.conform.device import Block, Configured, Device, ids, require_granted, width
 from bench.conform.levels import MOTION, STREAMS
 from bench.conform.probe import MOST_QUEUED, read, steps
 from bench.conform.verdicts import Failed, NotApplicable, Unknown
@@ -291,6 +291,41 @@ def _streamed_both_ways(device: Device) -> Both:
     if not there or not backwards:
         raise Unknown(f"{len(there)} and {len(backwards)} samples received of two streams")
     return forth, back, there, backwards
+
+
+@either("hall-inputs", 12, "a set is no movement of the shaft")
+def hall_inputs(device: Device) -> str:
+    """With all inputs taken as inverted, the other level of each Hall sensor is shown, and no edge is counted."""
+    record, channel = device.named("hall_invert_hat"), next((c for c in device.channels if c.name == "hall"), None)
+    if record is None or channel is None:
+        raise NotApplicable("the device lacks the parameter hall_invert_hat, or the channel hall")
+    own = device.parameter(record).value
+    first = _codes(device, channel)
+    edges = device.fresh().edges
+    try:
+        require_granted(device.set(record, int(own) ^ 7), f"hall_invert_hat = {int(own) ^ 7}")
+        inverted = _codes(device, channel)
+        more = (device.fresh().edges - edges) & MASK
+    finally:
+        device.put_back(record, own)
+    last = _codes(device, channel)
+    if len(first) != 1 or first != last:
+        raise Unknown(f"Hall codes {first} before, {last} after: the shaft must stand")
+    words = f"Hall code {first[0]}, with all inputs inverted {', '.join(map(str, inverted)) or 'none'}"
+    if inverted != [first[0] ^ 7] or more:
+        raise Failed(words + (f", and {counted(more, 'edge')} counted" if more else f", not {first[0] ^ 7}"))
+    return f"{words}, no edge counted"
+
+
+def _codes(device: Device, channel: Channel) -> list[int]:
+    """The Hall codes that are streamed now."""
+    device.probe.heard.clear()
+    device.probe.stream_frames.clear()
+    told = device.stream((channel,), RATE)
+    device.probe.listen(WATCHED / 2)
+    found = {raw[0] & 7 for raw in _instants(device, told, (channel,)).values()}
+    device.stop_streams()
+    return sorted(found)
 
 
 @check("stop-sends", 11, "STREAM_STOP sends pending records and frees the stream")

@@ -1,4 +1,8 @@
-"""The encoder that all is measured by: its zero and its direction, where the back-EMF tells them."""
+"""The encoder that all is measured by: its zero, its direction, its lines, and whether it stays with the shaft.
+
+Net sectors tell how far the shaft turned, whatever bounces. What moves all edges together is the encoder's doing: a
+jump at a moment is a coupling or a disc that slipped, or an index pulse that came; a drift is counts that get lost.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,32 @@ import math
 from collections.abc import Iterator
 
 from bench.findings.finding import Finding, degrees, percent
-from bench.findings.thresholds import DISPLACED, ZERO
-from bench.signal.reference import BackEmf
+from bench.findings.thresholds import (
+    BACKWARDS,
+    BEATS,
+    CLOUDED,
+    DISPLACED,
+    MOST_LATE,
+    NEAR_ONE,
+    NO_HYSTERESIS,
+    OFTEN,
+    SET,
+    SLIPPED,
+    SURE,
+    WHOLE,
+    ZERO,
+)
+from bench.signal.edge_fit import MOST_STEPS, EdgeFit, Step
+from bench.signal.hall_edges import Measured
+from bench.signal.hall_inputs import UNSURE
+from bench.signal.position import wrapped
+from bench.signal.reference import BackEmf, Turns
 
 TELL = "record u_alpha, u_beta, i_a and i_b while the drive turns the motor: its back-EMF shows which"
+BY_HAND = (
+    "turn the shaft by one revolution by hand: theta_enc then passes n_p electrical revolutions, if its lines are right"
+)
+SLIPS = "look for a slipping coupling, a loose disc, and lost counts"
 
 
 def zero(emf: BackEmf | None) -> Iterator[Finding]:
@@ -36,7 +62,6 @@ def zero(emf: BackEmf | None) -> Iterator[Finding]:
             (f"theta_enc is {degrees(off)} ahead of the rotor flux", *evidence),
             "align the encoder's zero with the rotor flux: edge angles are measured from it",
         )
-        return
 
 
 def ahead(emf: BackEmf | None) -> float:
@@ -49,3 +74,149 @@ def ahead(emf: BackEmf | None) -> float:
         return 0.0
     within = DISPLACED if math.isnan(emf.spread) else 2.0 * emf.spread
     return emf.zero if abs(emf.zero) > within else 0.0
+
+
+def harms(resolution: float) -> float:
+    """rad by which all edges may jump, or drift; `resolution`: rad rms to which an edge is known.
+
+    The steps of times beat with the speed, and jump and drift as well.
+    """
+    return max(SLIPPED, BEATS * resolution)
+
+
+def lines(measured: Measured, fit: EdgeFit, turns: Turns, large: list[Step]) -> Iterator[Finding]:
+    """Encoder and sectors that do not turn alike: pole pairs, lines, or an encoder that slips all the time.
+
+    `large`: its jumps that harm.
+    """
+    per_hall, scatter, n_p = measured.inputs.ratio, measured.inputs.scatter, turns.n_p
+    counted = (
+        f"{turns.by_hall:.1f} electrical revolutions by the sectors, {turns.total:.1f} by the encoder: "
+        f"{abs(per_hall):.3f} for each"
+    )
+    if measured.blind:
+        yield Finding("encoder_slips", "the encoder does not turn with the shaft", (counted,), SLIPS)
+        return
+    as_it_is = abs(measured.scale) == 1.0  # then edges tell more than the ratio, which pulses scatter
+    steady = (as_it_is or scatter < UNSURE) and fit.aside < CLOUDED * (fit.passages + fit.aside)
+    precise = abs(measured.scale) / (1.0 - fit.common.drift / math.tau)
+    like = abs(precise - 1.0) < NEAR_ONE
+    if steady and like and len(large) <= MOST_STEPS:
+        return
+    if not steady or like:
+        yield Finding(
+            "encoder_slips",
+            "the encoder does not follow the shaft: it goes ahead and falls back again and again",
+            (counted, f"from revolution to revolution that scatters by {percent(scatter)}"),
+            SLIPS,
+        )
+        return
+    factor = 1.0 / precise
+    share = f"{factor:.3g} times" if factor > 1.0 else f"1/{precise:.3g} of"
+    words = f"the encoder has {share} the lines that the drive takes it to have"
+    if n_p is None:
+        yield Finding("pole_pairs", f"n_p is wrong, or {words}", (counted,), BY_HAND)
+        return
+    fits = n_p * factor
+    repeats = f"the ratio is steady to {percent(scatter)}, and edges repeat with it"
+    if abs(fits - round(fits)) < WHOLE * max(1.0, fits / 10.0) and round(fits) >= 1:
+        yield Finding(
+            "pole_pairs",
+            f"wrong number of pole pairs: {n_p} in the drive, {round(fits)} would fit; or {words}",
+            (counted, f"{n_p} x {factor:.3f} = {fits:.2f} pole pairs; {repeats}"),
+            f"{BY_HAND}; else set n_p to {round(fits)}",
+        )
+        return
+    yield Finding(
+        "encoder_slips",
+        f"{words}: no number of pole pairs fits, or it is geared, or loses counts all the time",
+        (counted, f"{n_p} x {factor:.3f} = {fits:.2f} pole pairs, which no motor has; {repeats}"),
+        f"{BY_HAND}; {SLIPS}",
+    )
+
+
+def index_came(
+    measured: Measured, large: list[Step], turns: Turns, declared: float | None, emf: BackEmf | None
+) -> Step | None:
+    """The one jump within the first turn of the shaft, which an index pulse makes; None where there is none.
+
+    Nor is it one where the angle was right before it: by the back-EMF `emf` after it, or by the ring, which the drive
+    takes to stand at `declared`.
+    """
+    net = measured.inputs.net
+    if len(large) != 1 or turns.n_p is None:
+        return None
+    [step] = large
+    before = net.sectors[net.tick <= step.tick]
+    if len(before) and float(before.max() - before.min()) / 6.0 > turns.n_p + 1:
+        return None
+    if emf is not None and not emf.reversed:
+        after, within = emf.zero, ZERO
+    elif declared is not None:
+        after, within = measured.ring - declared, SET
+    else:
+        return step
+    return step if abs(wrapped(after)) <= max(abs(wrapped(after - step.size)), within) else None
+
+
+def slipped(measured: Measured, fit: EdgeFit, large: list[Step], index: Step | None, least: float) -> Iterator[Finding]:
+    """Its jumps but for that of the index, and counts that get lost; `least`: what `harms`."""
+    tick_hz = measured.tick_hz
+    if len(large) >= OFTEN:
+        yield Finding(
+            "encoder_slips",
+            f"the encoder slips again and again, by up to {degrees(max(abs(s.size) for s in large))} (electrical)",
+            (f"{len(large)} jumps of all edges together, the first at {large[0].tick / tick_hz:.2f} s",),
+            SLIPS,
+        )
+        return
+    for step in large:
+        if step is index:
+            continue
+        yield Finding(
+            "encoder_slipped",
+            f"the encoder slipped by {degrees(step.size)} (electrical) at {step.tick / tick_hz:.2f} s",
+            (
+                f"all edges are off by that from then on; otherwise a revolution's edges agree to "
+                f"{degrees(fit.common.scatter, 2)}",
+            ),
+            "look for a loose disc or coupling, or counts lost at that moment; the Hall sensors did not move",
+        )
+    if fit.common.drifted > least:
+        yield Finding(
+            "encoder_drifts",
+            f"the encoder drifts from the sectors by {degrees(fit.common.drift, 2)} a revolution (electrical)",
+            (f"{degrees(fit.common.drifted)} between the farthest places; all edges move alike",),
+            "look for counts that get lost (cable, supply, speed limit of the counter) and for a wrong number of lines",
+        )
+    elif not large:
+        yield from _between(measured, fit)
+
+
+def _between(measured: Measured, fit: EdgeFit) -> Iterator[Finding]:
+    """All edges apart by the direction: no sensor's hysteresis is so large, or below zero."""
+    both, sure = float(fit.hysteresis.mean()), SURE * float(fit.hysteresis_sd.max())
+    if not (both < BACKWARDS - sure or both > NO_HYSTERESIS + sure):
+        return
+    timed, late = not math.isnan(measured.delay), abs(both) / (2.0 * fit.speed)
+    slip = f"the encoder slipped by {degrees(both)} (electrical) between the two directions"
+    why = "no sensor has a hysteresis below zero" if both < 0.0 else "sensors that are well have 0.2 to 2 deg"
+    code, cause = "encoder_slipped", slip
+    if not timed and late < MOST_LATE:
+        code = "encoder_late" if both < 0.0 else "late_edges"
+        cause = f"edges come {1e6 * late:.0f} us {'late' if both > 0.0 else 'before the encoder'}, or {slip}"
+    yield Finding(
+        code,
+        cause,
+        (f"passed forward, all edges lie {degrees(both)} later than in reverse: {why}",),
+        "turn the shaft forward, in reverse and forward again, at two speeds: that tells which",
+    )
+
+
+def index_note(index: Step, tick_hz: float) -> Finding:
+    """A jump within the first turn of the shaft is what an index pulse does: a note, no fault."""
+    return Finding(
+        "index",
+        f"theta_enc jumped by {degrees(index.size)} at {index.tick / tick_hz:.2f} s, in the first turn of the shaft: "
+        "the index pulse came (or the encoder slipped); what was before is measured by what came after",
+    )

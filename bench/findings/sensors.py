@@ -1,61 +1,140 @@
-"""The Hall sensors: inputs that never change, sensors off their places, edges that do not stand still, false pulses.
+"""The Hall inputs: those that never change, contacts that come and go, edges that bounce, false pulses.
 
-A sensor stands where its edges lie by the rotor flux, as far as that is known; nothing here knows a wiring.
+Nothing here knows where a sensor stands, or which wire is which (`edges`, `wiring`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bench.findings.encoder import TELL, ahead
-from bench.findings.finding import Finding, degrees, percent
-from bench.findings.thresholds import DISPLACED, IMPLAUSIBLE, PULSE_RATE, PULSES, SCATTER, STILL
-from bench.signal.hall_edges import OPENS, Measured, largest, mean_angle
-from bench.signal.position import wrap
+from bench.findings.finding import Finding, percent
+from bench.findings.thresholds import (
+    BLIND_MISSES,
+    BOUNCES,
+    BROKEN,
+    DEAD_TURNS,
+    EVENLY,
+    MISSES,
+    MOSTLY,
+    ONE_SIDED,
+    PULSE_RATE,
+    PULSES,
+    SIDE,
+    STILL,
+    UNEQUAL,
+    WINDOWS,
+)
+from bench.signal.hall_inputs import NEAR, Inputs
 from bench.signal.pulses import Pulses
-from bench.signal.reference import BackEmf, Turns
-from bench.signal.trace import INPUTS, Trace
-from bench.signal.waveforms.sectors import NUMERALS, SECTOR_WIDTH
+from bench.signal.trace import INPUTS, Edges, Trace
 
 
 @dataclass(frozen=True)
 class Codes:
-    """Codes and edges that no rotor makes, false pulses taken out."""
+    """Codes and edges that no rotor makes, those of false pulses too."""
 
     illegal_samples: int
-    """Samples with the code 000 or 111, those within false pulses too."""
+    """Samples with one of the two codes that are none."""
     samples: int
     illegal: int
-    """Edges to or from 000 or 111."""
+    """Edges to or from them."""
     skipped: int
     """Edges over a sector, between legal codes."""
     edges: int
 
 
-def dead(trace: Trace, turns: Turns) -> Iterator[Finding]:
-    """Inputs that never change while others, or the encoder, tell that the shaft turns."""
-    changes, codes = trace.changes(), np.arange(8)
-    told = ", ".join(f"{name} {n}" for name, n in zip(INPUTS, changes, strict=True))
-    for number, name in enumerate(INPUTS):
-        high = float(trace.codes[codes >> number & 1 == 1].sum()) / trace.samples
-        if changes[number] > STILL * max(*changes, 1) or STILL < high < 1.0 - STILL:
-            continue
-        level = round(high)
-        cause, advice = stuck(name, level)
+def missed(inputs: Inputs) -> NDArray[np.int64]:
+    """(3,) how often each input should have changed and changed back while the shaft turned, and did not.
+
+    By the encoder; without one by the net sectors, of which a revolution has two where an input does nothing.
+    """
+    changes, least, one = inputs.changes, MISSES, 1.0
+    if np.isfinite(inputs.ratio):
+        changes = changes.of(np.isfinite(changes.theta))
+        place = changes.theta / inputs.ratio / math.tau
+    else:
+        place, least, one = changes.sectors / 6.0, BLIND_MISSES, 1.0 / 3.0
+    found = np.zeros(3, np.int64)
+    for number in range(3):
+        own = changes.input == number
+        gap, omega = np.abs(np.diff(place[own])), changes.omega[own]
+        same = (np.diff(changes.stretch[own]) == 0) & (omega[1:] * omega[:-1] > 0.0)
+        found[number] = np.round((gap[(gap > least) & same] - 0.5) / one).clip(1).sum()
+    return found
+
+
+def dead(trace: Trace, inputs: Inputs, turned: float) -> Iterator[Finding]:
+    """Inputs that never change while the shaft goes round, or stop to; `turned`: electrical revolutions covered."""
+    changes, edges = trace.changes(), trace.edges
+    if not len(edges.tick) and turned >= DEAD_TURNS and np.count_nonzero(trace.codes) != 1:
         yield Finding(
             "dead",
-            cause,
-            (
-                f"input {name} reads {level} in {percent(high if level else 1.0 - high)} of {trace.samples} "
-                f"samples, over {turns.total:.1f} electrical revolutions",
-                f"changes of the inputs: {told}",
-            ),
-            advice,
+            "no Hall edge came while the shaft turned: all three sensors are dead, or the drive does not see edges",
+            (f"{turned:.1f} electrical revolutions by the encoder",),
+            "measure the supply of the sensors; if their levels change, look at the drive's edge capture",
         )
+        return
+    told = ", ".join(f"{name} {n}" for name, n in zip(INPUTS, changes, strict=True))
+    for number, name in enumerate(INPUTS):
+        high = float(trace.codes[np.arange(8) >> number & 1 == 1].sum()) / max(1, int(trace.codes.sum()))
+        flips = np.flatnonzero((edges.old ^ edges.new) >> number & 1)
+        if changes[number] <= STILL * max(*changes, 1) and not STILL < high < 1.0 - STILL and turned >= 1.0:
+            level = round(high)
+            cause, advice = stuck(name, level)
+            share = percent(high if level else 1.0 - high)
+            evidence = f"input {name} reads {level} in {share} of {trace.samples} samples, over {turned:.1f} electrical"
+            yield Finding("dead", cause, (f"{evidence} revolutions", f"changes of the inputs: {told}"), advice)
+        elif len(flips) and _stopped(inputs, edges, flips):
+            after = _gone(inputs, edges, int(flips[-1]))
+            level = int(edges.new[flips[-1]] >> number & 1)
+            cause, advice = stuck(name, level)
+            since = edges.tick[flips[-1]] / trace.tick_hz
+            yield Finding(
+                "dead",
+                f"{cause.removesuffix(')')} since {since:.2f} s)",
+                (
+                    f"input {name} changed {len(flips)} times until then, and not once in {after:.1f} turns after",
+                    f"changes of the inputs: {told}",
+                ),
+                advice,
+            )
+
+
+def _stopped(inputs: Inputs, edges: Edges, flips: NDArray[np.int64]) -> bool:
+    """Whether an input is silent at the end for much longer than ever before: a contact comes back."""
+    after = _gone(inputs, edges, int(flips[-1]))
+    if after < DEAD_TURNS:
+        return False
+    longest = np.argsort(np.diff(flips))[-3:]
+    return after > 3.0 * max((_gone(inputs, edges, int(flips[k]), int(flips[k + 1])) for k in longest), default=0.0)
+
+
+def _gone(inputs: Inputs, edges: Edges, last: int, until: int | None = None) -> float:
+    """Electrical revolutions that the shaft went away after an edge; without an encoder, those that two inputs show.
+
+    The most within a stretch: between stretches there may have been edges that were not kept.
+    """
+    behind = len(edges.tick) if until is None else until + 1
+    theta, stretch = edges.theta[last:behind] / (math.tau * inputs.ratio), edges.stretch[last:behind]
+    known = np.isfinite(theta)
+    if known.any():
+        return _farthest(theta[known], stretch[known])
+    net = inputs.net
+    since, end = max(0, int(np.searchsorted(net.at, last)) - 1), int(np.searchsorted(net.at, behind))
+    return _farthest(net.sectors[since:end] / 2.0, edges.stretch[net.at[since:end]])
+
+
+def _farthest(places: NDArray[np.float64], stretch: NDArray[np.int64]) -> float:
+    """The most by which places (n,) in one stretch are apart; 0 of none."""
+    if not len(places):
+        return 0.0
+    starts = np.flatnonzero(np.diff(stretch, prepend=stretch[0] - 1))
+    return float((np.maximum.reduceat(places, starts) - np.minimum.reduceat(places, starts)).max())
 
 
 def stuck(name: str, level: int) -> tuple[str, str]:
@@ -66,81 +145,89 @@ def stuck(name: str, level: int) -> tuple[str, str]:
     return f"sensor {name} shorted (always 0)", advice
 
 
-def in_their_sectors(measured: Measured, emf: BackEmf | None) -> bool:
-    """Whether every edge lies within half a sector of its place: so does none where wires are not as specified."""
-    return all(abs(delta) < SECTOR_WIDTH / 2.0 for delta in deltas(measured, emf))
-
-
-def places(measured: Measured, emf: BackEmf | None) -> Iterator[Finding]:
-    """Sensors that stand off their places, and edges that do not stand still; the wiring is as specified."""
-    off_place = deltas(measured, emf)
-    pairs = [[OPENS.index((number, rises)) for rises in (True, False)] for number in range(len(INPUTS))]
-    off = [float(mean_angle(np.array([off_place[s] for s in pair]))) for pair in pairs]
-    common = float(np.median(off))
-    if abs(common) > DISPLACED:
-        lie = "edges I to VI lie " + ", ".join(degrees(-delta) for delta in off_place) + " from their ideal angles"
-        yield together(-common, (lie,), emf is not None)
-    else:
-        common = 0.0
+def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
+    """Wires that make contact now and then: an input that misses edges, or goes away for a part of a revolution."""
+    returns, changes = inputs.returns, inputs.changes
+    gone, blind = missed(inputs), not np.isfinite(inputs.ratio)
+    changed, at_one = np.bincount(changes.input, minlength=3), _levels(trace.edges)
     for number, name in enumerate(INPUTS):
-        rise, fall = pairs[number]
-        both = sorted((rise, fall))
-        numbers = " and ".join(NUMERALS[s] for s in both)
-        lie = " and ".join(degrees(-off_place[s]) for s in both)
-        widest = largest(p.half_width for s in both for p in (measured.edges[s].up, measured.edges[s].down))
-        evidence = (f"edges that open {numbers} lie {lie} from their ideal angles (95 % to {degrees(widest, 2)})",)
-        if abs(off[number] - common) > DISPLACED:
-            yield Finding(
-                "displaced",
-                f"sensor {name} is displaced by {degrees(common - off[number])} (edges {numbers})",
-                evidence,
-                f"move sensor {name} by {degrees(off[number] - common)}",
-            )
-        uneven = float(wrap(np.array([off_place[rise] - off_place[fall]]))[0]) / 2.0
-        if abs(uneven) > DISPLACED:
-            yield Finding(
-                "duty",
-                f"sensor {name} is 1 over {percent(measured.duty[number])} of a revolution",
-                evidence,
-                f"look at the magnet in front of sensor {name}, its distance and its threshold",
-            )
-    unsteady = [
-        (edge, passages) for edge in measured.edges for passages in (edge.up, edge.down) if passages.jitter > SCATTER
-    ]
-    if unsteady:
-        edge, passages = max(unsteady, key=lambda pair: pair[1].jitter)
+        own = returns.input == number
+        apart = own & ~returns.at_edge
+        n, high = int(np.count_nonzero(apart)), int(np.count_nonzero(apart & returns.high))
+        long = int(np.count_nonzero(apart & (returns.travel >= NEAR)))
+        one_sided = n >= ONE_SIDED and max(high, n - high) > SIDE * n
+        both_sides = n >= ONE_SIDED and not one_sided
+        windows = int(gone[number])
+        if both_sides and windows < WINDOWS * n:  # pulses beside an edge do that, too
+            windows = 0
+        if blind and windows <= np.delete(gone, number).max() * 5:  # all alike: the sectors are not told well
+            windows = 0
+        away = windows + (0 if both_sides else long) + (n if one_sided else 0)
+        level = at_one[number]
+        others = float(np.abs(np.delete(at_one, number) - 0.5).min())
+        evenly = n >= ONE_SIDED and abs(high / n - 0.5) < EVENLY
+        lopsided = abs(level - 0.5) > max(UNEQUAL, 3.0 * others) and not evenly
+        seldom = changed[number] < MOSTLY * changed.max() and not both_sides
+        mostly = (lopsided or seldom) and int(np.count_nonzero(own)) > BROKEN
+        if away <= BROKEN and not mostly:
+            continue
+        share = float(returns.width[own & (returns.high == (level > 0.5))].sum()) / max(trace.measured, 1e-9)
+        words = [
+            f"{windows} times it did not change where it should have" if windows else "",
+            f"{int(np.count_nonzero(own))} times it went away and came back, {percent(share)} of the time"
+            if own.any()
+            else "",
+            f"of {codes.edges} edges, {codes.illegal} lead to or from 000 or 111 and {codes.skipped} skip a sector",
+        ]
         yield Finding(
-            "unsteady",
-            f"{len(unsteady)} of 12 passages scatter by more than {degrees(SCATTER)}",
-            (f"the worst: {edge.name}, {degrees(passages.jitter, 2)} rms over {passages.n} passages",),
-            "look for play between magnet and shaft, a sensor at its threshold, and a noisy supply",
+            "contact",
+            f"the wire of sensor {name} makes intermittent contact",
+            tuple(filter(None, words)),
+            f"move the connector and the wire of sensor {name} while the shaft turns, and watch this count",
         )
 
 
-def together(shift: float, evidence: tuple[str, ...], zero_known: bool) -> Finding:
-    """All sensors are off by one angle, rad, or the encoder is, unless its zero is known."""
-    words = f"all Hall sensors are displaced by {degrees(shift)} together"
-    if zero_known:
-        return Finding("ring", words, evidence, "rotate the sensor ring")
-    return Finding("encoder_zero", f"{words}, or the encoder's zero is off by as much", evidence, TELL)
+def _levels(edges: Edges) -> NDArray[np.float64]:
+    """Share of the time in which each input was 1, standing left out."""
+    if len(edges.tick) < 2:
+        return np.full(3, math.nan)
+    lasts = np.diff(edges.tick).astype(np.float64)
+    whole = np.sort(lasts)[::-1]
+    lasts = np.minimum(lasts, 3.0 * float(whole[np.searchsorted(np.cumsum(whole), 0.5 * whole.sum())]))
+    high = edges.new[:-1, None] >> np.arange(3) & 1
+    levels: NDArray[np.float64] = lasts @ high / lasts.sum()
+    return levels
 
 
-def implausible(codes: Codes, found: Pulses) -> Iterator[Finding]:
-    """Codes that neither the wiring nor false pulses explain."""
-    n = codes.illegal + codes.skipped
-    if n <= max(3.0, IMPLAUSIBLE * codes.edges, 0.2 * found.n):
-        return
-    yield Finding(
-        "implausible",
-        "a Hall wire makes intermittent contact",
-        (f"of {codes.edges} edges, {codes.illegal} lead to or from 000 or 111 and {codes.skipped} skip a sector",),
-        "move connectors and wires one by one while the shaft turns, and watch this count",
-    )
+def bounces(inputs: Inputs, found: Pulses, broken: Iterable[Finding]) -> Iterator[Finding]:
+    """Inputs that change more than once at an edge; `broken`: as in `false_pulses`."""
+    ratio = f"{abs(inputs.ratio):.3f} electrical revolutions by the encoder for each by the sectors, returns left out"
+    agrees = () if math.isnan(inputs.ratio) else (ratio,)
+    for number, name in enumerate(INPUTS):
+        n, edges = found.bounces[number], int(np.count_nonzero(inputs.changes.input == number))
+        if n < PULSES or n < BOUNCES * edges or _named(name, broken):
+            continue
+        middle, widest = (1e6 * width for width in found.bounce_width)
+        yield Finding(
+            "bounce",
+            f"sensor {name} bounces: its input returns at {percent(min(1.0, n / max(edges, 1)))} of its edges",
+            (
+                f"{n} returns at {edges} edges, each within a small part of a sector of one; half of them within "
+                f"{middle:.0f} us, the longest {widest:.0f} us",
+                *agrees,
+            ),
+            f"give input {name} hysteresis (a Schmitt trigger) and a filter, or let the firmware ignore a return",
+        )
 
 
-def false_pulses(found: Pulses) -> Iterator[Finding]:
-    """Pulses too short for any rotor."""
-    if found.n < PULSES or found.rate < PULSE_RATE:
+def false_pulses(found: Pulses, broken: Iterable[Finding]) -> Iterator[Finding]:
+    """Inputs that are back before the shaft can have gone a small part of a sector, anywhere in it.
+
+    `broken`: contacts and dead inputs that were found: theirs are none.
+    """
+    well = [n for name, n in zip(INPUTS, found.by_input, strict=True) if not _named(name, broken)]
+    share = sum(well) / max(1, found.n)
+    if sum(well) < PULSES or found.rate * share < PULSE_RATE:
         return
     evidence = [
         f"{found.n} pulses of at most {found.widest * 1e6:.1f} us, {found.rate:.3g} a second; "
@@ -161,8 +248,5 @@ def false_pulses(found: Pulses) -> Iterator[Finding]:
     )
 
 
-def deltas(measured: Measured, emf: BackEmf | None) -> list[float]:
-    """Ideal minus actual angle of each edge, rad in [-pi, pi): by the rotor flux, as far as that is known."""
-    zero = ahead(emf)
-    deltas: list[float] = wrap(np.array([edge.mean_delta + zero for edge in measured.edges])).tolist()
-    return deltas
+def _named(name: str, broken: Iterable[Finding]) -> bool:
+    return any(f" {name} " in f"{finding.cause} " for finding in broken)

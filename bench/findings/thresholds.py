@@ -10,14 +10,19 @@ from __future__ import annotations
 
 import math
 
+from bench.signal.hall_edges import SEEMS
 from bench.signal.waveforms.sectors import SECTOR_WIDTH
 
 # -- is there enough to go by --------------------------------------------------------------------------------------
 
 LEAST_TURNS = 2.0
 """Electrical revolutions, in all for any verdict, each way for a healthy one: each edge is then passed twice."""
+LEAST_REACH = 1.5
+"""Electrical revolutions between the farthest places that the shaft was at: each edge is then passed on both sides."""
 LEAST_PASSAGES = 5
 """Of each edge each way: with 5, the 95 % interval of the mean is 1.24 times the jitter."""
+BLIND_PASSAGES = 12
+"""Of each edge, without an encoder: each is then measured by the revolutions around it."""
 SEEN_FOR = 0.5
 """s of samples from which on a run's position error and back-EMF are judged."""
 LONG_ENOUGH = 1.0
@@ -25,22 +30,8 @@ LONG_ENOUGH = 1.0
 
 # -- turns by Hall sensors and by encoder --------------------------------------------------------------------------
 
-SAME, OTHER = 0.9, 0.95
-"""`bench hall check`: how well edges repeat with the pole pairs that are right, at least, and with others, to be
-believed (0..1, mean resultant length). 0.9 is a scatter of 26 deg, as far as misplaced sensors and their delay go."""
-MULTIPLE = 0.75
-"""`bench hall check`: electrical turns by Hall inputs for one by the encoder, below which the drive's pole pairs are a
-multiple of the motor's, with which edges repeat too. Half is the largest ratio that such a multiple can have."""
-RATIO_OFF = 0.25
-"""`bench live`: of one, by which that ratio may be off. A run counts sectors in blocks, edge by edge as they come, and
-does not know at which angle each edge came: it cannot see whether they repeat, so only the ratio tells, and a block's
-ends cost up to a sector each."""
-POLE_PAIR_OFF = 0.5
-"""`bench live`: pole pairs by which the ratio may be off once the shaft has turned `ROUNDS`."""
-ROUNDS = 2.0
-"""Revolutions of the shaft, from which on half a pole pair shows in the ratio."""
-COMPARED_TURNS = 3.0
-"""Electrical revolutions from which on `bench live` compares: with fewer a block's ends weigh too much."""
+WHOLE = 0.05
+"""Pole pairs by which a ratio may miss a whole number, or a tenth of that of ten: it is known to some thousandths."""
 
 # -- wires ---------------------------------------------------------------------------------------------------------
 
@@ -50,28 +41,80 @@ MARGIN = math.radians(12.0)
 """rad from an ideal edge in which samples do not count: as far as sensors of public tables are misplaced (8.4 deg at
 most), with what hysteresis and delay add."""
 LEAST_SEEN = 100
-"""`bench live`: samples in each sector with which wires are judged. `bench hall check` asks for `LEAST_TURNS` instead:
-a drive that is told to stand trembles over some sectors for seconds."""
+"""`bench live`: samples in each sector with which wires are judged of a shaft that turned less than `LEAST_TURNS`: with
+wires exchanged a motor may not start. `bench hall check` turns it, or asks for more."""
 STILL = 0.01
 """Share of time, and of the changes of the others, in which an input that never changes may have changed."""
-IMPLAUSIBLE = 0.005
-"""Share of edges to an illegal code or over a sector, beyond which a wiring that is right does not explain them."""
+DEAD_TURNS = 3.0
+"""Electrical revolutions without a change of an input, from which on it is dead."""
+MISSES, BLIND_MISSES = 0.85, 0.8
+"""Electrical revolutions between two changes of an input, from which on it missed one: sensors are 1 over half of one,
+and none was found to be off by more than 30 deg. Without an encoder five sectors."""
+BROKEN, ONE_SIDED, SIDE = 2, 8, 0.9
+"""Times that an input may go away for a part of a revolution; and short ones, of which such a share is to one level,
+that no interference makes: eight are so by chance once in 128."""
+WINDOWS = 0.2
+"""Of what returns to both levels, as pulses do, that an input must miss besides to be a contact."""
+EVENLY = 0.15
+"""Share by which returns to 1 may be more or less than half of all, where they come from an interference."""
+UNEQUAL = 0.08
+"""Share of the time by which an input may be 1 more or less than half of it: edges 8.4 deg off make 0.05."""
+MOSTLY = 0.8
+"""Of the changes of the other inputs, below which an input that goes away and comes back is away mostly."""
 PULSES, PULSE_RATE = 3, 0.1
 """False pulses, in all and in a second, that are a fault: fewer come from switching a lamp."""
+BOUNCES = 0.005
+"""Share of an input's edges that may bounce: a sensor with hysteresis never does."""
+SET = SEEMS
+"""rad by which the ring may stand off where the drive takes it to stand: as far as a sensor may (`DISPLACED`)."""
+NAMED = math.radians(20.0)
+"""rad from where the ring should stand within which a wiring is named after it: rings sit at any angle."""
 
 # -- where the sensors stand ---------------------------------------------------------------------------------------
 
-DISPLACED = math.radians(8.0)
-"""Off its place, from which on a sensor is displaced: the paper's worst is 6.4 deg off."""
-SCATTER = math.radians(2.0)
-"""Jitter from which on an edge is unsteady: four times the hysteresis of good sensors."""
+DISPLACED = math.radians(9.0)
+"""Off its place against the mean of the three, from which on a sensor is displaced, or its edges apart: of 16 real
+motors the worst is 8.4 deg off, 3.0 rms; the paper's 6.4."""
+SURE = 3.0
+"""Standard errors beyond a limit, from which on it is exceeded."""
+SCATTER, SCATTER_ALL = math.radians(2.0), math.radians(4.0)
+"""Jitter from which on an edge is unsteady: four times the hysteresis of good sensors; where pole pairs, which differ
+by 1.4 deg rms in real motors, are not told apart, as much more."""
+CLOUDED = 0.3
+"""Share of edges far from their places, beyond which nothing more is said of an encoder while inputs are disturbed."""
+TWICE = 2.0
+"""Times the slow revolutions that the fast ones must be, that edges without an encoder are called late."""
+SWINGING = 10.0 * math.tau
+"""Electrical rad/s, below which a speed that swings scatters edges that no encoder measures."""
+ASIDE = 0.05
+"""Share of edges far from their places, beyond which they do not repeat."""
+PAIR_OFF, PAIRS_OFF = math.radians(6.0), math.radians(3.0)
+"""rad by which one pole pair may stand off, and edges of pole pairs may differ, rms: 0.85 to 1.36 in real motors."""
+ECCENTRIC, SINE = math.radians(0.35), math.radians(4.0)
+"""rad of the shaft, and electrical, by which a disc or a ring may swing: 0.1 mm at a radius of 16 mm."""
+LATE_EDGES, TOLD_LATE = 350e-6, 40e-6
+"""s by which edges may come late, unless that is `DISPLACED` at the fastest; and from which on it is told: 66 us
+falling and 150 us rising were measured on e-bikes, 275 us between the two on a hub motor."""
+BEATS = 2.0 * math.sqrt(3.0)
+"""Times the resolution of edges, rms, that a jump must be: a step of the times, from end to end, for they stay at one
+while the speed beats with it."""
+OFTEN = 3
+"""Jumps of all edges together, from which on the encoder slips again and again."""
+MOST_LATE = 3e-3
+"""s that edges or encoder may be late: what is more is a slip."""
+NEAR_ONE = 0.004
+"""Of the ratio of encoder to sectors, that a drift may come to: more is lines, or pole pairs."""
+SLIPPED = math.radians(1.5)
+"""rad by which all edges may jump, or drift in all: what is less does no harm, and is taken out."""
+NO_HYSTERESIS, BACKWARDS = math.radians(6.0), math.radians(-1.5)
+"""rad of hysteresis in the mean of all edges, above which, and below which, it is none."""
 
 # -- encoder and the angle of the flux -----------------------------------------------------------------------------
 
 ZERO = math.radians(2.5)
 """Off the rotor flux, from which on the encoder's zero is off: more than the back-EMF is wrong by."""
-LATE = 30e-6
-"""s, from which on a delay is one: the fits are good to about 10 us."""
+LATE = 50e-6
+"""s, from which on a delay is one: it is told where it is known to 25 us (95 %)."""
 OFF_BY = SECTOR_WIDTH
 """rad rms of a position error, above which an angle is no estimate: a Hall sector alone tells it better."""
 
@@ -100,6 +143,12 @@ RISING = 0.05
 
 LEARN_WITHIN = math.radians(0.5)
 """rad, the widest half of a 95 % confidence interval with which an edge is learnt: the hysteresis of good sensors."""
+LEARN_ASIDE = 0.02
+"""Share of passages far from their edges, beyond which none is learnt: something moved, if only for a while."""
+LEARN_LEG = 3.0
+"""Electrical revolutions one way, after which a slip of the encoder at the reversal shows."""
+HYSTERESIS = math.radians(0.2), math.radians(2.0)
+"""rad of hysteresis that sensors have that are well: what a slip between the two directions may add hides in it."""
 LEARN_SD = math.radians(2.0)
 """rad, the largest standard deviation with which an edge is taken from a filter."""
 LEARN_MOTOR = {"psi_f_hat": 0.02, "R_s_hat": 0.1, "L_s_hat": 0.2}

@@ -1,28 +1,30 @@
 """Which wiring of the Hall sensors explains what was seen: exchanged, rotated, inverted, open or shorted wires.
 
-One fault at a time is looked for. The encoder is the reference: its zero is taken to be right. One that reads 120 deg
-too little looks like sensors rotated a on b, b on c, c on a, one that reads 120 deg too much like the other rotation;
-off by any other multiple of 60 deg it looks like no known wiring. Nothing here measures where the edges lie
-(`waveforms.edge_offsets` does).
+Edges tell the order of the codes and where the ring then stands (`order`): wires that are rotated look like a ring that
+is turned by 120 deg, three inverted inputs like one turned by 180, and sensors 60 deg apart like one inverted input.
+Where the drive does not say where its ring stands, none of that is a fault. Samples alone tell it where the encoder's
+zero and the ring are as specified (`diagnose`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bench.findings.encoder import TELL
-from bench.findings.finding import Finding, percent
-from bench.findings.sensors import deltas, stuck, together
-from bench.findings.thresholds import LEAST_SEEN, LEAST_SHARE, MARGIN
+from bench.findings.encoder import TELL, ahead
+from bench.findings.finding import Finding, degrees, percent
+from bench.findings.sensors import stuck
+from bench.findings.thresholds import LEAST_SEEN, LEAST_SHARE, MARGIN, NAMED, SET, ZERO
+from bench.signal.edge_fit import OPENS
 from bench.signal.hall_edges import Measured, mean_angle
-from bench.signal.position import wrap
+from bench.signal.position import wrap, wrapped
 from bench.signal.reference import BackEmf
-from bench.signal.trace import INPUTS, SLOW, Floats, Trace
+from bench.signal.trace import INPUTS, Trace
 from bench.signal.waveforms.samples import checked
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS, sector_of_angle
 from protocol.signals import SECTOR_OF_CODE
@@ -32,8 +34,8 @@ NONE_KNOWN = "none of the known wirings"
 INVERTED = " inverted"
 STUCK = dict(stuck(name, level) for name in INPUTS for level in (0, 1))
 """What to do, by the cause."""
-SHIFTS, FEW = 72, 20_000
-"""Constants in a turn, and samples, with which an angle that is off by one is looked for."""
+CONNECT = "connect each sensor to the input of its name"
+LEARN = "`bench hall learn --write` tells the drive where the edges are"
 
 
 class Diagnosis(NamedTuple):
@@ -127,21 +129,17 @@ def _wirings() -> dict[str, list[int]]:
 _WIRINGS = _wirings()
 
 
-class Wires:
-    """The Hall codes of a run over the encoder's angle, in pieces."""
+def by_samples(trace: Trace) -> Iterator[Finding]:
+    """The wiring, where it is a known fault, of a shaft that turned too little to be measured: by codes over the angle.
 
-    def __init__(self) -> None:
-        self._counts = np.zeros((SECTORS, 8), np.int64)
-
-    def add(self, theta: NDArray[np.float64], hall: NDArray[np.uint8]) -> None:
-        """Samples: electrical angle, rad, and code. One that is not finite, or no code, tells nothing of the wires."""
-        told = np.isfinite(theta) & (hall < 8)
-        self._counts += tally(theta[told], hall[told])
-
-    def findings(self) -> Iterator[Finding]:
-        """The wiring, where it is a known fault."""
-        if self._counts.sum(axis=1).min() >= LEAST_SEEN:
-            found = Diagnosis(*explained(self._counts), int(self._counts.sum()), 0)
+    Where the drive does not say where its ring sits, wires that are rotated look like a ring that is turned.
+    """
+    declared, some = trace.parameters.get("hall_offset"), trace.some
+    told = np.isfinite(some.theta)
+    counts = tally(some.theta[told] - (declared or 0.0), some.hall[told])
+    if trace.codes.any() and counts.sum(axis=1).min() >= LEAST_SEEN:
+        found = Diagnosis(*explained(counts), int(counts.sum()), 0)
+        if declared is not None or "rotated" not in found.best:
             yield from miswired(found, zero_known=False)
 
 
@@ -152,7 +150,7 @@ def miswired(found: Diagnosis, zero_known: bool) -> Iterator[Finding]:
     evidence = [f"that explains {percent(found.share)} of {found.n} samples; next best: {next_best(found)}"]
     if not zero_known and "rotated" in found.best:
         evidence.append("an encoder zero that is 120 deg off looks the same; the back-EMF would tell")
-    advice = STUCK.get(found.best, "connect each sensor to the input of its name")
+    advice = STUCK.get(found.best, CONNECT)
     if found.best.endswith(INVERTED):
         advice = f"correct the polarity of {found.best.removesuffix(INVERTED)}"
     yield Finding("wiring", found.best, tuple(evidence), advice)
@@ -163,68 +161,136 @@ def next_best(found: Diagnosis) -> str:
     return f"{found.runner_up}, explains {percent(found.runner_up_share)}"
 
 
-def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, emf: BackEmf | None) -> Iterator[Finding]:
-    """A wiring that is not as specified; `theta`: of the rotor flux, as far as that is known."""
-    zero_known = emf is not None
-    if wiring.best != NONE_KNOWN:
-        yield from miswired(wiring, zero_known)
+class Wired(NamedTuple):
+    """A way in which the three inputs may be wired, and where the ring then stands."""
+
+    sensors: tuple[int, ...]
+    """By input: 0..2, the sensor that is on it."""
+    inverted: int
+    """Bits of the inputs that are inverted."""
+    ring: float
+    """rad, of the edge that opens sector I."""
+
+    def off(self, target: float) -> float:
+        """rad by which the ring then stands from where it is taken to."""
+        return abs(wrapped(self.ring - target))
+
+    @property
+    def changes(self) -> int:
+        """How many things are not as specified."""
+        return (self.sensors != (0, 1, 2)) + (self.inverted > 0)
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        a, b, c = (f"{INPUTS[sensor]} on {INPUTS[self.sensors.index(sensor)]}" for sensor in range(3))
+        off = [INPUTS[number] for number in range(3) if self.sensors[number] != number]
+        turned = [INPUTS[number] for number in range(3) if self.inverted >> number & 1]
+        words = [
+            {0: "", 2: f"sensors {' and '.join(off if off != ['a', 'c'] else off[::-1])} exchanged"}.get(
+                len(off), f"sensors rotated ({a}, {b}, {c})"
+            )
+        ]
+        if len(turned) == 3:
+            words.append("all three inputs inverted")
+        elif turned:
+            words.append(f"sensor {' and '.join(turned)}{INVERTED}")
+        return ", ".join(filter(None, words)) or AS_SPECIFIED
+
+
+CENTRES = np.radians([30.0, 150.0, 270.0])
+"""Where a ring at 0 has the middle of what each sensor is 1 over."""
+
+
+def possible(measured: Measured, emf: BackEmf | None) -> list[Wired]:
+    """All ways of wiring that explain the order of the codes and the edges; by the rotor flux, as far as known."""
+    fit = measured.fit
+    if fit is None or measured.blind:
+        return []
+    rises, falls = (fit.place[[OPENS.index((number, high)) for number in range(3)]] for high in (True, False))
+    centres = math.copysign(1.0, measured.inputs.ratio) * (rises + (falls - rises) % math.tau / 2.0)
+    centres = emf.zero - centres if emf is not None and emf.reversed else centres - ahead(emf)
+    found = []
+    for sensors in permutations(range(3)):
+        rings = centres - CENTRES[list(sensors)]
+        ring = mean_angle(rings)
+        if np.abs(wrap(rings - ring)).max() < SECTOR_WIDTH:
+            inverted = measured.inputs.inverted
+            found += [Wired(sensors, inverted, ring), Wired(sensors, inverted ^ 7, mean_angle(rings + math.pi))]
+    return found
+
+
+def order(found: list[Wired], declared: float | None, zero_known: bool) -> Iterator[Finding]:
+    """Inputs that are not wired as specified, and a ring that is not where the drive takes it to be.
+
+    `declared`: the drive's `hall_offset`, rad; None where it has none: the ring may then stand anywhere.
+    """
+    target = declared or 0.0
+    there = [wired for wired in found if wired.changes == 0]
+    near = sorted((w for w in found if w.changes == 1 and w.off(target) < NAMED), key=lambda w: w.off(target))
+    or_zero = () if zero_known else ("an encoder whose zero is off by as much looks the same; the back-EMF would tell",)
+    if there:
+        [ring] = there
+        within = SET if zero_known else SET + ZERO
+        if declared is None or ring.off(declared) <= within:
+            return
+        stands = f"the ring stands at {degrees(ring.ring)}, and the drive takes it to stand at {degrees(declared)}"
+        if near:
+            yield Finding("wiring", near[0].name, (f"else {stands}", *or_zero), f"{CONNECT}; else {LEARN}")
+            return
+        yield Finding("hall_setting", f"{stands} (hall_offset)", or_zero, LEARN)
         return
-    nearest = f"the nearest of the known wirings, {next_best(wiring)} of {wiring.n} samples"
-    moving = np.abs(trace.some.omega) >= SLOW
-    for backwards in (False, True):
-        fit = _shifted(-theta if backwards else theta, trace, moving)
-        if fit is None:
+    if not found:
+        return
+    connect = CONNECT if declared is None else f"{CONNECT}; else {LEARN}"
+    [inverted] = {w.inverted for w in found if w.inverted in (0, 1, 2, 4)} or {0}
+    straight = [w for w in found if w.sensors == (0, 1, 2)]
+    ways = ", ".join(f"{w.name} with the ring at {degrees(w.ring)}" for w in found if w.inverted == inverted)
+    if inverted:
+        name = INPUTS[inverted.bit_length() - 1]
+        apart = f"sensors 60 deg apart, {name} in the middle"
+        cause = (
+            f"sensor {name}{INVERTED}, or {apart}"
+            if straight
+            else f"{apart}, or sensor {name}{INVERTED} and others exchanged"
+        )
+        yield Finding(
+            "wiring", cause, (f"two codes are missing, and 000 and 111 come in turn; {ways}",),
+            f"correct the polarity of sensor {name}, in the firmware if its sensors are 60 deg apart; {LEARN}",
+        )  # fmt: skip
+    elif near:
+        yield Finding(
+            "wiring", near[0].name, (f"the codes come in the reverse order of the encoder: {ways}", *or_zero), connect
+        )
+    elif zero_known:
+        yield Finding("wiring", "two Hall wires are exchanged", (f"the codes come in reverse order: {ways}",), connect)
+    else:
+        yield Finding(
+            "encoder_reversed",
+            "the encoder counts in the wrong direction, or two Hall wires are exchanged and the ring rotated",
+            (f"the codes come in the reverse order of the encoder: {ways}",),
+            f"correct the encoder's direction first; {TELL}",
+        )
+
+
+def ring(found: list[Wired], zero_known: bool) -> Iterator[Finding]:
+    """Where the ring stands, and what would make it seem to stand there: a note, no fault."""
+    for wired in found:
+        if wired.changes:
             continue
-        shift = -mean_angle(np.array(deltas(measured, emf)))
-        share = percent(fit.share)
-        explained = f"with a constant angle offset, the specified wiring explains {share} of {fit.n} samples"
-        if backwards:
-            yield Finding(
-                "encoder_reversed",
-                "the encoder counts in the wrong direction, or two Hall wires are exchanged and the ring rotated",
-                (explained + " if the encoder counts in the wrong direction", nearest),
-                f"correct the encoder's direction first; {TELL}",
-            )
-            return
-        yield together(shift, (explained, nearest), zero_known)
-        return
-    yield Finding(
-        "wiring",
-        "no single wiring fault explains the Hall codes",
-        (nearest,),
-        "there may be two faults, or an intermittent contact: test wire by wire, then check again",
-    )
+        by = "the rotor flux" if zero_known else "the encoder's zero"
+        other = [w.name for w in found if w.changes == 1 and w.off(0.0) < NAMED and w.inverted in (0, 7)]
+        seems = f"; {other[0]} would look the same" if other else ""
+        yield Finding("ring", f"the ring stands at {degrees(wired.ring)} by {by} (hall_offset){seems}")
 
 
-def inverted_by_codes(changed: NDArray[np.int64]) -> Iterator[Finding]:
-    """An inverted input makes 000 and 111 of two codes, which then never come.
-
-    `changed` (8, 8): how many edges there are from each code to each. No encoder is needed.
-    """
-    counts = changed.sum(axis=0)
-    n = int(counts.sum())
-    if min(counts[0], counts[7]) < 0.1 * n:
-        return
-    for number, name in enumerate(INPUTS):
-        alone = 1 << number
-        if counts[alone] + counts[7 - alone] == 0:
-            yield Finding(
-                "wiring",
-                f"sensor {name} inverted",
-                (
-                    f"{counts[0]} edges to 000 and {counts[7]} to 111 of {n}, "
-                    f"none to {alone:03b} or {7 - alone:03b} (c b a)",
-                ),
-                f"correct the polarity of sensor {name}",
-            )
-            return
-
-
-def _shifted(theta: Floats, trace: Trace, moving: NDArray[np.bool_]) -> Diagnosis | None:
-    """How well the specified wiring explains the codes to an angle that is off by the constant for which it does best.
-
-    None where that is not well enough.
-    """
-    few = np.flatnonzero(moving)[:: max(1, np.count_nonzero(moving) // FEW)]
-    fits = [diagnose(theta[few] - math.tau * k / SHIFTS, trace.some.hall[few]) for k in range(SHIFTS)]
-    return max((fit for fit in fits if fit.best == AS_SPECIFIED), key=lambda fit: fit.share, default=None)
+def missing_codes(measured: Measured) -> Iterator[Finding]:
+    """Of an inverted input 000 and 111 come in turn, and two codes never: no encoder is needed to see that."""
+    number = measured.inputs.inverted.bit_length() - 1
+    if number >= 0:
+        yield Finding(
+            "wiring",
+            f"sensor {INPUTS[number]}{INVERTED}, or sensors 60 deg apart, {INPUTS[number]} in the middle",
+            ("two codes are missing, and 000 and 111 come in turn",),
+            f"correct the polarity of sensor {INPUTS[number]}, in the firmware if its sensors are 60 deg apart",
+        )

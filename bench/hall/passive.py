@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 
-from bench.hall.turning import ENOUGH, Turned, electrical_turns
+from bench.findings.thresholds import LEAST_REACH
+from bench.hall.turning import Turned, way
 from bench.rig.rig import Rig
 from protocol.descriptor import Channel
 
@@ -33,9 +34,11 @@ def watch(rig: Rig, seconds: float, progress: Callable[[str], None]) -> Turned:
     with suppress(KeyboardInterrupt):
         while (left := end - rig.client.now()) > 0:
             rig.wait(min(LOOK, left))
-            up, down = electrical_turns(rig.recorder, first, rig.drive.parameters)
-            turned = f"{up:.1f} electrical revolutions forward, {down:.1f} reverse"
+            gone = way(rig.recorder, first, rig.drive.parameters)
+            turned = f"{gone.up:.1f} electrical revolutions forward, {gone.down:.1f} reverse"
+            if gone.reach < LEAST_REACH:
+                turned += f", over {gone.reach:.1f}: go on in one direction"
             progress(f"turn the shaft by hand: {turned}, {left:.0f} s left")
-            if min(up, down) >= ENOUGH:
+            if gone.enough:
                 break
     return Turned(rig.capture(first, rig.recorder.newest), "by hand", further=FURTHER)

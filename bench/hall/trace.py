@@ -13,13 +13,10 @@ from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
 from bench.signal.chunks import between
-from bench.signal.trace import STATOR, Trace, trace_of
+from bench.signal.trace import LOOKED_AT, Trace, trace_of
 
 if TYPE_CHECKING:
     from bench.record.reader import Run
-
-LOOKED_AT = ("hall", "status", "i_d", "i_q", *STATOR)
-"""Channels that are read, and the encoder's angle."""
 
 
 class Recorded:
@@ -41,6 +38,7 @@ class Recorded:
         self._run, self._note, self._told = run, note, 0
         self._part = ticks_between(run, begin, end)
         self.samples, self.edges = (run.rows(stream, *self._part) for stream in (layout.SAMPLES, layout.EDGES))
+        self.parameters = run.info.parameters
         if not self.samples or not self.edges:
             raise self._nothing()
 
@@ -75,5 +73,4 @@ def pieces_of(whole: Capture | Recorded, wanted: Iterable[str]) -> Iterable[Capt
 
 def trace(whole: Capture | Recorded) -> Trace:
     """Make ready what was captured or recorded. BenchError without the channel `hall`."""
-    samples, edges = (whole.samples, whole.edges) if isinstance(whole, Recorded) else (len(whole), len(whole.edges))
-    return trace_of(pieces_of(whole, LOOKED_AT), samples, edges)
+    return trace_of(pieces_of(whole, LOOKED_AT))

@@ -15,32 +15,38 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from bench.errors import BenchError
+from bench.findings.thresholds import LEAST_REACH
 from bench.hall.trace import Recorded
 from bench.rig.drive import RanAway
 from bench.rig.loads import SPEED
 from bench.rig.needs import offers
 from bench.rig.recorder import Recorder
 from bench.rig.rig import Rig
+from bench.signal import hall_inputs
 from bench.signal.capture import Capture
+from bench.signal.trace import INPUTS, Edges
 from bench.signal.units import RPM
-from bench.signal.waveforms.sectors import SECTORS, edge_passages
+from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS
 from protocol.errors import HbpError
 from protocol.messages import Fault
 
 SHARES = (0.25, 0.5, 1.0)
 """Of the highest speed, at which the shaft turns both ways; by Hall sensors the lowest is left out."""
-DWELL_TURNS = 8.0  # electrical turns at a speed,
-DWELL = (1.0, 4.0)  # s, but so long at least and at most
+AGAIN = 0.5
+"""Of the highest speed, at which it at last turns forward once more: an encoder that slipped at the reversal shows."""
+DWELL_TURNS, AGAIN_TURNS = 8.0, 5.0  # electrical turns at a speed, and once more,
+DWELL, AGAIN_DWELL = (1.0, 4.0), (0.5, 4.0)  # s, but so long at least and at most
 ENOUGH = 6.0
 """Electrical turns each way with which no further way of turning is tried."""
 FOLLOWS = 0.4  # share of the way that was asked for, below which the motor does not follow
 RUNAWAY = 1.6  # of the highest speed that was asked for so far, at which a motor is stopped
 GROWS = 1.2  # of the speed that was there when it was told to stand, at which a motor is stopped
-HUNTS = 0.25  # of that speed, below which it as good as stands, and is let go
+HUNTS = 0.4  # of that speed, below which it only hunts about a stand, and is let go
 COAST = 5.0  # s that a shaft may take to stand when it is let go
 STANDS = 3.0  # electrical rad/s
 SETTLES = 0.35  # s in which a shaft that stands may still creep to a Hall code that trips the drive again
@@ -76,7 +82,7 @@ class Turner:
         self._progress = progress
         self._first = rig.tick()
         self._remarks: list[str] = []
-        self._trips: dict[str, list[str]] = {}  # speeds, by how the drive turned the motor and what it tripped
+        self._trips: dict[str, dict[str, None]] = {}  # speeds, by how the drive turned the motor and what it tripped
         slowest = ENOUGH / DWELL[1] * math.tau / rig.drive.n_p / RPM
         if most_rpm < slowest:
             raise BenchError(
@@ -103,7 +109,7 @@ class Turner:
                     self._rig.drive.stop()
                 tried.append(how)
                 self._coast()
-                if min(electrical_turns(self._rig.recorder, self._first, self._rig.drive.parameters)) >= ENOUGH:
+                if way(self._rig.recorder, self._first, self._rig.drive.parameters).enough:
                     break
             self._leave_clear()
         trips = [f"{what} at {', '.join(speeds)} r/min" for what, speeds in self._trips.items()]
@@ -123,17 +129,18 @@ class Turner:
         if SPEED in self._rig.load.abilities:
             yield "the load machine", self._by_load
 
-    def _speeds(self, shares: tuple[float, ...]) -> list[float]:
-        """Mechanical rad/s."""
-        return [sign * share * self._most_rpm * RPM for sign in (1.0, -1.0) for share in shares]
-
-    def _dwell(self, omega_m: float) -> float:
-        turns_per_second = self._rig.drive.n_p * abs(omega_m) / math.tau
-        return min(max(DWELL_TURNS / turns_per_second, DWELL[0]), DWELL[1])
+    def _legs(self, shares: tuple[float, ...]) -> list[tuple[float, float]]:
+        """Mechanical rad/s, and s at it."""
+        legs = [(sign * share, DWELL_TURNS, DWELL) for sign in (1.0, -1.0) for share in shares]
+        per_second = self._most_rpm / 60.0 * self._rig.drive.n_p
+        return [
+            (share * self._most_rpm * RPM, min(max(turns / (per_second * abs(share)), least), most))
+            for share, turns, (least, most) in [*legs, (AGAIN, AGAIN_TURNS, AGAIN_DWELL)]
+        ]
 
     def _by_drive(self, source: str, observer: str | None, shares: tuple[float, ...]) -> None:
         drive = self._rig.drive
-        for omega_m in self._speeds(shares):
+        for omega_m, seconds in self._legs(shares):
             self._progress(f"the drive by its {source}: {omega_m / RPM:+.0f} r/min")
             if self._running and self._speed() * omega_m < 0.0:
                 self._brake()
@@ -145,7 +152,7 @@ class Turner:
                     self._running = True
                     drive.start(observer)
                 drive.speed(rad_s=omega_m, unless=lambda: bool(drive.faults))
-                self._rig.until(lambda: bool(drive.faults), self._dwell(omega_m))
+                self._rig.until(lambda: bool(drive.faults), seconds)
             except RanAway:
                 raise _NotFollowing(f"at {omega_m / RPM:+.0f} r/min it ran away and was stopped") from None
             except (BenchError, HbpError):
@@ -153,7 +160,7 @@ class Turner:
                     raise
             if drive.faults:
                 self._after_trip(source, omega_m)
-            self._require_following(first, omega_m)
+            self._require_following(first, omega_m, seconds)
 
     def _brake(self) -> None:
         """Down to a stand before the shaft turns the other way; a trip is looked at later.
@@ -182,10 +189,10 @@ class Turner:
     def _by_load(self) -> None:
         load = self._rig.load
         try:
-            for omega_m in self._speeds(SHARES):
+            for omega_m, seconds in self._legs(SHARES):
                 self._progress(f"the load machine: {omega_m / RPM:+.0f} r/min")
                 load.speed(rad_s=omega_m)
-                self._rig.wait(self._dwell(omega_m))
+                self._rig.wait(seconds)
         finally:
             load.off()
 
@@ -207,7 +214,7 @@ class Turner:
         """Record what coasts, and make the drive ready again."""
         drive = self._rig.drive
         what = f"the drive, by its {source}, tripped {', '.join(drive.faults)}"
-        self._trips.setdefault(what, []).append(f"{omega_m / RPM:+.0f}")
+        self._trips.setdefault(what, {})[f"{omega_m / RPM:+.0f}"] = None
         self._running = False
         self._coast()
         other = [name for name in drive.faults if name != Fault.HALL.name]
@@ -231,33 +238,53 @@ class Turner:
             self._remarks.append(f"the drive is off, {', '.join(drive.faults)} still latched: the cause persists")
             drive.leave_faults()
 
-    def _require_following(self, first: int, omega_m: float) -> None:
+    def _require_following(self, first: int, omega_m: float, seconds: float) -> None:
         if not self._rig.has_encoder:
             return
         capture = self._rig.capture(first, self._rig.recorder.newest)
-        way = float(capture.theta[-1] - capture.theta[0]) * math.copysign(1.0, omega_m)
-        asked = abs(omega_m) * self._rig.drive.n_p * self._dwell(omega_m)
-        if way < (FOLLOWS * asked if self._running else 0.0):
+        gone = float(capture.theta[-1] - capture.theta[0]) * math.copysign(1.0, omega_m)
+        asked = abs(omega_m) * self._rig.drive.n_p * seconds
+        if gone < (FOLLOWS * asked if self._running else 0.0):
             raise _NotFollowing(
                 f"commanded to turn {math.degrees(asked):.0f} deg at {omega_m / RPM:+.0f} r/min, it turned "
-                f"{math.degrees(way):.0f} deg (electrical, by the encoder)"
+                f"{math.degrees(gone):.0f} deg (electrical, by the encoder)"
             )
 
 
-def electrical_turns(recorder: Recorder, first: int, parameters: Mapping[str, float]) -> tuple[float, float]:
-    """Up and down since the device tick `first`: by the encoder, or without one by the Hall edges.
+class Way(NamedTuple):
+    """How far a shaft went, electrical revolutions; to and fro within half a revolution counts nothing."""
 
-    Edges that do not tell the way, as those of a sensor that is dead, count as half of each.
+    up: float
+    down: float
+    reach: float
+    """Between the farthest places that it was at."""
+
+    @property
+    def enough(self) -> bool:
+        """Whether it can be judged by that."""
+        return min(self.up, self.down) >= ENOUGH and self.reach >= LEAST_REACH
+
+
+def way(recorder: Recorder, first: int, parameters: Mapping[str, float]) -> Way:
+    """Since the device tick `first`: by the encoder, or without one by the sectors.
+
+    Beside an input that never changes two edges of six tell the way; they then count three times.
     """
     if recorder.newest <= first:
-        return 0.0, 0.0
+        return Way(0.0, 0.0, 0.0)
     capture = recorder.capture(first, recorder.newest, parameters)
+    each = 1.0 / SECTORS
     try:
-        theta = capture.theta
+        theta = capture.theta[:: max(1, round(capture.measured_rate / LOOKS))]
+        sectors = np.floor((theta - theta[0]) / SECTOR_WIDTH).astype(np.int64)
+        sectors = sectors[hall_inputs.reached(sectors)]
     except BenchError:  # no encoder
-        _, way = edge_passages(capture.edges.hall_old & 7, capture.edges.hall_new & 7)
-        up, down = np.count_nonzero(way > 0), np.count_nonzero(way < 0)
-        half = 0.5 * (len(way) - up - down)
-        return (up + half) / SECTORS, (down + half) / SECTORS
-    steps = np.diff(theta[:: max(1, round(capture.measured_rate / LOOKS))])
-    return float(steps[steps > 0].sum()) / math.tau, float(np.abs(steps[steps < 0]).sum()) / math.tau
+        old, new = (codes.astype(np.int64) & 7 for codes in (capture.edges.hall_old, capture.edges.hall_new))
+        unknown = np.full(len(old), math.nan)
+        edges = Edges(capture.edges.tick, old, new, unknown, unknown, unknown, 0 * old)
+        sectors = hall_inputs.net_sectors(edges, hall_inputs.usual(edges)).sectors
+        changed = np.bitwise_or.reduce(old ^ new, initial=0)
+        each *= 3.0 if int(changed).bit_count() < len(INPUTS) else 1.0
+    steps = np.diff(sectors, prepend=0)
+    up, down = steps[steps > 0].sum(), -steps[steps < 0].sum()
+    return Way(float(up) * each, float(down) * each, float(np.ptp(np.append(sectors, 0))) * each)

@@ -15,8 +15,8 @@ from bench.device.heard import Heard
 from bench.findings.finding import Finding
 from bench.findings.motion import BY_ENCODER, BY_ESTIMATE, BY_HALL, Currents, NotFinite, SpeedHeld, far_off
 from bench.findings.motor import FluxLinkage
-from bench.findings.pole_pairs import ComparedTurns
-from bench.findings.wiring import Wires
+from bench.findings.thresholds import LEAST_TURNS
+from bench.live.hall_sensors import HallSensors
 from bench.signal.channels import flagged, reference_angle, speed_channel
 from bench.signal.position import ErrorTable, last_state
 from bench.signal.units import pole_pairs
@@ -29,10 +29,12 @@ from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 class Plausibility:
     """Sink that judges the run of a drive by its `stream` of samples and, with `edges`, its Hall edges.
 
-    `parameters`: the drive's, by name, in their units.
+    `parameters`: the drive's, by name, in their units; `threaded`: as for `HallSensors`.
     """
 
-    def __init__(self, stream: StreamConfig, edges: bool, parameters: Mapping[str, float]) -> None:
+    def __init__(
+        self, stream: StreamConfig, edges: bool, parameters: Mapping[str, float], threaded: bool = False
+    ) -> None:
         channels = stream.channels
         self._drive, self._rate, self._edges = stream.node, stream.rate, edges
         self._names = {channel.name for channel in channels}
@@ -46,37 +48,27 @@ class Plausibility:
         self._sectors = 0.0  # since the last chunk of samples
         self.speed, self._currents = SpeedHeld(self._by, self._n_p or 1, i_max), Currents(i_max)
         self._not_finite = NotFinite()
-        self._turns, self._wires, self._flux = ComparedTurns(self._rate, self._n_p), Wires(), FluxLinkage(parameters)
+        self._flux = FluxLinkage(parameters)
+        self.hall = HallSensors(stream, edges, parameters, threaded)
 
     # -- sink ---------------------------------------------------------------------------------------------------
 
     def take(self, item: Heard) -> None:
         """Follow the Hall sensors from sector to sector; take in what was sampled while the drive was running."""
+        self.hall.take(item)
         if isinstance(item, EdgeChunk) and item.config.node == self._drive:
-            self._edges_came(item)
+            self._sectors += float(steps_between(item.hall_old, item.hall_new).sum())
         elif isinstance(item, SampleChunk) and item.config.node == self._drive:
             self._samples_came(item)
-
-    def _edges_came(self, chunk: EdgeChunk) -> None:
-        steps = steps_between(chunk.hall_old, chunk.hall_new)
-        self._sectors += float(steps.sum())
-        if self._theta:
-            self._turns.edges(chunk, steps)
 
     def _samples_came(self, chunk: SampleChunk) -> None:
         gone, self._sectors = self._sectors, 0.0
         self._not_finite.add(chunk)
-        if self._theta and "hall" in self._names:  # in any state
-            self._wires.add(chunk.physical(self._theta), chunk.raw["hall"])
         if last_state(chunk) not in (None, DriveState.RUNNING):
-            self._turns.samples(chunk, None)
             return
         seconds = len(chunk) / self._rate
         self._currents.add(chunk)
         self._look_for_causes(chunk, seconds)
-        if self._theta:
-            step = float(np.abs(chunk.physical(self._omega)).mean()) / self._rate if self._omega else 0.0
-            self._turns.samples(chunk, chunk.physical(self._theta), step)
         self._look_at_speed(chunk, gone, seconds)
 
     def _look_for_causes(self, chunk: SampleChunk, seconds: float) -> None:
@@ -109,20 +101,21 @@ class Plausibility:
 
     def causes(self) -> list[Finding]:
         """What is set or wired wrongly, by what the shaft showed as it turned; also of a run that ended in a trip."""
-        turns = list(self._turns.findings()) if self._edges else []
-        return turns or [*self._wires.findings(), *self._flux.findings()]
+        hall = self.hall.findings()
+        angle_known = not any(finding.code.startswith(("encoder", "pole_pairs")) for finding in hall)
+        return [*hall, *(self._flux.findings() if angle_known else ())]
 
     def unverified(self) -> list[str]:
         """What nothing in the stream could show, each with the reason."""
-        unseen = []
+        unseen, pieces = [], self.hall.pieces
         if not self._theta:
             unseen.append("position error (no angle with the flag REFERENCE)")
-        elif self._turns.too_late:
-            unseen.append(
-                "Hall sensors against the encoder (edges come too late after the samples, or their ticks are wrong)"
-            )
-        elif self._turns.too_fast and self._edges and not self._turns.compared:
+        elif pieces.too_fast and self._edges and self.hall.turned < LEAST_TURNS:
             unseen.append("Hall sensors against the encoder (too few samples in an electrical revolution)")
+        if pieces.too_late:
+            unseen.append("Hall sensors (edges come too late after the samples, or their ticks are wrong)")
+        elif self.hall.error:
+            unseen.append(f"Hall sensors (they could not be judged: {self.hall.error})")
         if self._n_p is None:
             unseen.append("speed (no parameter n_p)")
         elif not self._omega and not self._edges:

@@ -77,7 +77,7 @@ class LiveRun:
         self.client, self.node = rig.client, rig.drive.node
         self.acts: tuple[Act, ...] = ()
         self._stats = RunStatistics(self.node.number)
-        self._judge: Plausibility | None = None  # of a run that turns the motor
+        self._judge: Plausibility | None = None
         self._gathered = Gathered(())  # what counts and judges
         self._next_progress = 0.0
         self._last_samples = (0, 0.0)
@@ -176,8 +176,7 @@ class LiveRun:
         options, rig = self.options, self.rig
         rig.learn()
         parameters = rig.drive.parameters
-        if self.acts:
-            self._judge = Plausibility(stream, self.node.offers_edges, parameters)
+        self._judge = Plausibility(stream, self.node.offers_edges, parameters, threaded=True)
         if options.host_observers:
             from bench.replay.estimators import HostObservers
 
@@ -191,7 +190,7 @@ class LiveRun:
         triggers = [Condition.parse(text) for text in options.trigger]
         for condition in triggers:
             condition.check([channel.name for channel in (*stream.channels, *added)])
-        watching: list[Sink] = [self._stats, *([self._judge] if self._judge else [])]
+        watching: list[Sink] = [self._stats, self._judge]
         if triggers:
             watching.append(Triggers(triggers, self.node.number, self._triggered))
         self._gathered = Gathered(watching)
@@ -219,6 +218,15 @@ class LiveRun:
         at = tick / self.node.identity.tick_hz
         self.client.note(f"trigger {condition.text}: {condition.channel} was {value:.6g} at {at:.3f} s", "WARN")
 
+    def _tell_findings(self) -> None:
+        """Note what is wrong with the Hall sensors, and mark the run there."""
+        assert self._judge is not None
+        for found, first, last in self._judge.hall.news():
+            if self.rig.outputs is not None:
+                self.rig.outputs.mark(found.cause, first, last, Verdict.FAIL)
+            at = last / self.node.identity.tick_hz
+            self.client.note(f"Hall sensors, until {at:.1f} s: {found.line}", "WARN")
+
     # -- the motor ----------------------------------------------------------------------------------------------
 
     def go(self, report: Callable[[Summary], None], hold: bool) -> LiveOutcome:
@@ -235,6 +243,9 @@ class LiveRun:
             bus = meter.report(self.node.load)
             rig.finish()
         self._gathered.flush()
+        if self._judge is not None:
+            rig.signal.uninterrupted(self._judge.hall.findings)
+            self._tell_findings()
         ended = self._outcome(lost)
         summary = summarise(
             self.target, self.client, self._stats, self.node.identity, duration, percent, outputs.latency, bus
@@ -314,6 +325,7 @@ class LiveRun:
                 self.client.note(f"no DATA for {now - since:.2f} s on {self.client.link.name}", "ERROR")
         if now >= self._next_progress:
             self._next_progress = now + PROGRESS_PERIOD
+            self._tell_findings()
             self.screen.progress(self._status())
         return False
 
@@ -368,11 +380,13 @@ class LiveRun:
             return Verdict.FAIL, missing, ()
         if misdated := stats.misdated(self.node.identity.tick_hz):
             return Verdict.FAIL, f"implausible: {misdated}", (misdated,)
-        if self._judge is None:
+        judge = self._judge
+        if judge is None:
             return Verdict.PASS, "ok", ()
-        if found := tuple(found.line for found in self._judge.implausible(stats.errors)):
+        wrong = judge.implausible(stats.errors) if self.acts else judge.hall.findings()
+        if found := tuple(finding.line for finding in wrong):
             return Verdict.FAIL, f"implausible: {'; '.join(found)}. {self._advice}", found
-        unseen = self._judge.unverified()
+        unseen = judge.unverified() if self.acts else []
         return Verdict.PASS, f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", ()
 
     @property

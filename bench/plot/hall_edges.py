@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bench.record.layout import EDGES, SAMPLES
+from bench.record.layout import SAMPLES
 from bench.record.reader import Run, captures
 from bench.report import style
 from bench.report.plots import edge_axes
@@ -25,10 +25,8 @@ from bench.signal.waveforms.sectors import NUMERALS
 def edges_of(run: Run, first: int, last: int) -> Measured | None:
     """What was measured of the ticks `first` to `last`; None without a single edge of a shaft that turns."""
     wanted = ("hall", reference_angle(run.config(SAMPLES).channels))
-    edges = trace_of(
-        captures(run, first, last, wanted), *(run.rows(name, first, last) for name in (SAMPLES, EDGES))
-    ).edges
-    return measure(edges) if np.isfinite(edges.theta).any() else None
+    measured = measure(trace_of(captures(run, first, last, wanted)))
+    return None if measured.blind or measured.fit is None else measured
 
 
 def as_json(of: Measured) -> dict[str, Any]:
@@ -58,13 +56,14 @@ def as_json(of: Measured) -> dict[str, Any]:
 def words(of: Measured) -> str:
     """What the figure says, in a line."""
     late = (-math.degrees(edge.mean_delta) for edge in of.edges)
-    return f"late by {', '.join('–' if math.isnan(each) else f'{each:+.2f}' for each in late)} el. ° (I … VI)"
+    ring = f"ring at {math.degrees(of.edges[0].offset):.1f}°, " if of.edges[0].offset else ""
+    return f"{ring}late by {', '.join('–' if math.isnan(each) else f'{each:+.2f}' for each in late)} el. ° (I … VI)"
 
 
 def draw(of: Measured) -> Figure:
     """The edges on the circle, and how late each comes, with the standard deviation of its passages."""
     names = [f"{name}\n{edge.name.replace(' ', chr(10))}" for name, edge in zip(NUMERALS, of.edges, strict=True)]
-    figure, circle, chart = edge_axes(names, GREY, 4.0)
+    figure, circle, chart = edge_axes(names, GREY, 4.0, of.edges[0].ideal)
     late_all = []
     for way, mark, hue, shift, inner in (("forward", ">", SERIES[1], -0.1, 0.0), ("reverse", "<", SERIES[0], 0.1, 0.3)):
         passages = [edge.up if way == "forward" else edge.down for edge in of.edges]

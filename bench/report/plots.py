@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bench.report.style import BLACK, FONT_SIZE, LIGHT, LINE_WIDTH, WIDTH, plain
 from bench.signal.error_bins import ANGLES
-from bench.signal.waveforms.sectors import NUMERALS, SECTOR_WIDTH, SECTORS
+from bench.signal.waveforms.sectors import NUMERALS, SECTOR_WIDTH, SECTORS, edge_angle
 
 
 def draw_band(
@@ -25,19 +25,20 @@ def draw_band(
     ax.plot(ANGLES, mean, dash, color=hue, linewidth=LINE_WIDTH, label=words)
 
 
-def edge_axes(under: Sequence[str], hue: str, width: float) -> tuple[Figure, Axes, Axes]:
+def edge_axes(under: Sequence[str], hue: str, width: float, hall_offset: float) -> tuple[Figure, Axes, Axes]:
     """A figure with the circle on which Hall edges lie, and a chart over the edges, `under` which stand these words.
 
-    The circle has the ideal edges, as wide as `width`, and the names of the sectors that they open, in `hue`.
+    The circle has the ideal edges, from `hall_offset` (rad) on, as wide as `width`, and the names of the sectors that
+    they open, in `hue`.
     """
     figure = Figure(figsize=(WIDTH, 3.6), layout="constrained", facecolor="white")
     grid = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.35])
     circle, chart = figure.add_subplot(grid[0, 0], projection="polar"), figure.add_subplot(grid[0, 1])
-    ideal = np.arange(SECTORS) * SECTOR_WIDTH
+    ideal = edge_angle(np.arange(SECTORS), hall_offset)
     circle.vlines(ideal, 0, 1, color=LIGHT, linewidth=width, label="ideal")
     for name, angle in zip(NUMERALS, ideal, strict=True):
         circle.text(angle + SECTOR_WIDTH / 2, 0.6, name, ha="center", va="center", fontsize=FONT_SIZE, color=hue)
-    circle.set_xticks(ideal)
+    circle.set_xticks(ideal % (2.0 * np.pi))
     circle.set_yticks([])
     circle.set_ylim(0, 1)
     circle.grid(False)

@@ -55,7 +55,6 @@ class Course:
 
     stretches: tuple[Stretch, ...]
     samples: int
-    edges: int
     lost: int
     """Samples, before its first too, if that is told."""
     ran: bool | None
@@ -72,14 +71,13 @@ def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], p
     """Go through captures that follow each other. `reference`: the encoder's angle; `speeds`: channels."""
     found: list[_Growing] = []
     fastest = dict.fromkeys(speeds, 0.0)
-    samples = edges = lost = 0
+    samples = lost = 0
     ran: bool | None = None
     rate = 1.0
     for window in windows(captures, CONTEXT):
         whole, own = window.capture.samples, window.samples
         rate = window.capture.rate
         lost += sum(gap.lost_samples for gap in own.gaps)
-        edges += len(window.capture.edges)
         for name in fastest:
             fastest[name] = max(fastest[name], float(np.abs(own.physical(name)).max()))
         now = running(whole)
@@ -101,4 +99,4 @@ def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], p
             growing.n += len(direction)
         samples += len(own)
     stretches = tuple(Stretch(g.first, g.t, g.n, g.turns(ran, rate)) for g in found)
-    return Course(stretches, samples, edges, lost, ran, fastest)
+    return Course(stretches, samples, lost, ran, fastest)

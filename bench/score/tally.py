@@ -35,6 +35,7 @@ class Block:
     own: slice
     rate: float
     pole_pairs: int
+    hall_offset: float
     t: float
     """Device time of the first of its own, s."""
     points: I64
@@ -64,7 +65,7 @@ class Block:
     @cached_property
     def by_sector(self) -> dict[str, I64]:
         """Its steady samples by the sector of the encoder's angle."""
-        sector = sector_of_angle(self.theta[self.own][self.steady])
+        sector = sector_of_angle(self.theta[self.own][self.steady], self.hall_offset)
         return {str(k + 1): self.steady[sector == k] for k in range(SECTORS)}
 
     @cached_property

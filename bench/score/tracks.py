@@ -32,6 +32,7 @@ from bench.signal.channels import reference_angle
 from bench.signal.delays import delays_of
 from bench.signal.trace import STATOR, Trace
 from bench.signal.units import pole_pairs
+from bench.signal.waveforms import hall_offset
 from bench.signal.windows import Window, windows
 from protocol.signals import Flag, Unit
 from protocol.streams import SampleChunk, StreamConfig
@@ -132,8 +133,8 @@ def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
         notes.append("the drive was never RUNNING: all samples count")
     estimates = {name for _, angle, speed in recorded.values() for name in (angle, speed) if name}
     wanted = {reference, *estimates, *status, *(name for name in (*INPUTS, *STATOR) if name in there)}
-    scored = _Scored(course, kinds, reference, config.rate, n_p or 1)
-    trace = Trace(course.samples, course.edges)
+    scored = _Scored(course, kinds, reference, config.rate, parameters)
+    trace = Trace()
     for window in windows(pieces(channels=wanted), CONTEXT):
         trace.add(window)
         found = _estimates(window.samples, recorded)
@@ -171,8 +172,11 @@ def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
 class _Scored:
     """The estimates of a recording against its encoder, window by window."""
 
-    def __init__(self, course: Course, kinds: Iterable[str], reference: str, rate: float, n_p: int) -> None:
-        self._course, self._reference, self._rate, self._pole_pairs = course, reference, rate, n_p
+    def __init__(
+        self, course: Course, kinds: Iterable[str], reference: str, rate: float, parameters: Mapping[str, float]
+    ) -> None:
+        self._course, self._reference, self._rate = course, reference, rate
+        self._pole_pairs, self._hall_offset = pole_pairs(parameters) or 1, hall_offset(parameters)
         self._seen = 0  # samples
         self._number = -1  # of the stretch
         self.every = max(1, sum(stretch.n for stretch in course.stretches if self.takes(stretch)) // POINTS)
@@ -219,6 +223,7 @@ class _Scored:
             slice(own.start - rows.start, own.stop - rows.start),
             self._rate,
             self._pole_pairs,
+            self._hall_offset,
             stretch.t + since / self._rate,
             self._first_points[self._number] + number // self.every,
         )

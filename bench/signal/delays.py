@@ -16,26 +16,22 @@ sensor's place.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.signal.capture import Capture
-from bench.signal.position import wrap
-from bench.signal.trace import SLOW, Edges, Trace
-from bench.signal.waveforms.sectors import edge_passages
+from bench.signal.edge_fit import SPREAD
+from bench.signal.hall_edges import Measured, measure
+from bench.signal.trace import SLOW, Trace
 from bench.signal.windows import Window
 
 F64 = NDArray[np.float64]
 
-SPREAD = 0.1
-"""Of speeds about their mean, as a share of them, below which no delay is fitted."""
 UNSURE = 0.03
 """V across the back-EMF, by which the inverter may be off: what a dead time's compensation leaves."""
-LEAST, LEAST_EDGES = 200, 36  # samples and edges that a delay is fitted to
-FAR = math.radians(30.0)  # from the others of its kind, from which on an edge is none of them
+LEAST = 200  # samples that a delay is fitted to
 ALIKE = 0.97  # correlation of speed and q current above which their effects cannot be separated
 AGREE = 25e-6  # s within which two delays are one
 
@@ -49,37 +45,22 @@ class Delays(NamedTuple):
 
 def delays(capture: Capture) -> Delays:
     """Measure them, over all samples and edges of a shaft that turns."""
-    trace = Trace(len(capture), len(capture.edges))
+    trace = Trace()
     trace.add(Window(capture, slice(0, len(capture))))
     return delays_of(trace)
 
 
-def delays_of(trace: Trace) -> Delays:
-    """Measure them."""
+def delays_of(trace: Trace, measured: Measured | None = None, since: int = 0) -> Delays:
+    """Measure them, that of the back-EMF from the tick `since` on; `measured`: the edges, where they are already."""
     if trace.samples < LEAST or not trace.encoder:
         return Delays(math.nan, math.nan)
-    return Delays(_by_edges(trace.edges), _by_back_emf(trace))
+    edges = measure(trace) if measured is None else measured
+    return Delays(edges.delay if edges.delay_half_width < AGREE else math.nan, _by_back_emf(trace, since))
 
 
-def _by_edges(edges: Edges) -> float:
-    opened, way = edge_passages(edges.old, edges.new)
-    good = way * edges.omega > SLOW
-    if np.count_nonzero(good) < LEAST_EDGES:
-        return math.nan
-    kinds, place, omega = (2 * opened + (way > 0))[good], wrap(edges.theta[good]), edges.omega[good]
-    groups = []
-    for kind in np.unique(kinds):
-        of = kinds == kind
-        off = wrap(place[of] - np.angle(np.exp(1j * place[of]).mean()))
-        near = np.abs(off - np.median(off)) < FAR
-        groups.append((off[near], omega[of][near]))
-    delay, error = within_groups(groups)
-    return delay if 2.0 * error < AGREE else math.nan
-
-
-def _by_back_emf(trace: Trace) -> float:
+def _by_back_emf(trace: Trace, since: int) -> float:
     some = trace.some
-    use = some.settled & (np.abs(some.omega) > SLOW)
+    use = some.settled & (np.abs(some.omega) > SLOW) & (some.tick >= since)
     still = trace.back_emf(use)
     if still is None:
         return math.nan
@@ -95,26 +76,6 @@ def _by_back_emf(trace: Trace) -> float:
     angles = [-np.angle(still / still.mean()), UNSURE / size, UNSURE / size * np.sign(omega)]
     slope, *errors = _fitted(terms, angles, size)[1]
     return float(slope) if np.abs(errors).max() < AGREE else math.nan
-
-
-def within_groups(groups: Sequence[tuple[F64, F64]]) -> tuple[float, float]:
-    """Slope of angles over speeds, s, common to groups (angles, speeds) that each have a place of their own.
-
-    With its standard error; NaN where the speeds of each group are too much alike.
-    """
-    groups = [(angles, omega) for angles, omega in groups if len(omega) > 1]
-    if not groups:
-        return math.nan, math.nan
-    angles = np.concatenate([angles - angles.mean() for angles, _ in groups])
-    speeds = np.concatenate([omega - omega.mean() for _, omega in groups])
-    size = np.concatenate([omega for _, omega in groups])
-    freedom = len(angles) - len(groups) - 1
-    if freedom < 2 * len(groups) or speeds.std() < SPREAD * math.sqrt(float(np.mean(size**2))):
-        return math.nan, math.nan
-    square = float(np.sum(speeds**2))
-    slope = float(np.sum(angles * speeds)) / square
-    rest = angles - slope * speeds
-    return slope, math.sqrt(float(np.sum(rest**2)) / freedom / square)
 
 
 def _fitted(terms: list[F64], angles: list[F64], weight: F64) -> F64:

@@ -25,6 +25,11 @@ def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     return wrapped
 
 
+def wrapped(angle: float) -> float:
+    """One angle in rad, wrapped to [-pi, pi)."""
+    return (angle + math.pi) % math.tau - math.pi
+
+
 def position_error(actual: NDArray[Any], estimated: NDArray[Any]) -> NDArray[Any]:
     """Actual minus estimated angle, rad in [-pi, pi), of angles of any one shape."""
     return wrap(actual - estimated)

@@ -1,4 +1,4 @@
-"""False pulses on the Hall inputs: how many, how wide, on which, and whether they come with the current.
+"""What returned on the Hall inputs: bounces at edges, pulses elsewhere, and whether these come with the current.
 
 What couples in from the power stage grows with the current, so time is cut into bins of the current's size, each of the
 same number of samples, and the pulses in each are counted. Nothing here says whether there are too many.
@@ -11,11 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.signal.trace import Trace
+from bench.signal.hall_inputs import NEAR, Bools, Inputs, Returns, bouncing
+from bench.signal.trace import SLOW, Trace
 
 BINS = 4
 SURE = 3.0
-"""Standard deviations by which the rates in the halves of higher and lower current must differ to be told apart."""
+"""Standard deviations by which the rates in the halves of higher and lower current must differ to be told apart,"""
+APART = 1.5
+"""and by how much, times: an interference that comes with the current is not there without it."""
+ONE_WAY = 0.1
+"""Share of the other level, below which returns are to one level only."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,7 @@ class CurrentBin:
 
 @dataclass(frozen=True)
 class Pulses:
-    """The false pulses of a trace."""
+    """The pulses of a trace that lie anywhere, and the bounces, which lie at edges."""
 
     n: int
     rate: float
@@ -39,6 +44,10 @@ class Pulses:
     by_input: tuple[int, ...]
     widest: float
     """s; NaN for none."""
+    bounces: tuple[int, ...]
+    """By input."""
+    bounce_width: tuple[float, float]
+    """s, of the middle and of the widest bounce; NaN for none."""
     bins: tuple[CurrentBin, ...]
     """From the lowest current to the highest; empty where no current was recorded, or it hardly changed."""
     excess: float
@@ -47,33 +56,63 @@ class Pulses:
     @property
     def with_current(self) -> bool:
         """Whether they come with the current, beyond doubt."""
-        return self.excess > SURE
+        return bool(self.bins) and self.excess > SURE and self.bins[-1].rate > APART * self.bins[0].rate
 
 
-def count(trace: Trace) -> Pulses:
-    """Count the false pulses."""
-    pulses = trace.pulses
-    n = len(pulses.input)
+def count(trace: Trace, inputs: Inputs) -> Pulses:
+    """Count what returned within a small part of a sector."""
+    returns = inputs.returns
+    bounces, pulses = kinds(returns)
+    n = int(np.count_nonzero(pulses))
     bins: list[CurrentBin] = []
     excess = math.nan
-    if np.isfinite(trace.some.current).all():
-        bounds = np.unique(np.quantile(trace.some.current, np.linspace(0.0, 1.0, BINS + 1)))
+    turns = np.abs(trace.some.omega) >= SLOW if trace.encoder else np.ones(len(trace.some.current), bool)
+    current = trace.some.current[turns]  # where it stands nothing is counted
+    if len(current) and np.isfinite(current).all() and np.isfinite(returns.current).all():
+        bounds = np.unique(np.quantile(current, np.linspace(0.0, 1.0, BINS + 1)))
         if len(bounds) == BINS + 1:
-            per_bin = np.bincount(
-                np.clip(np.searchsorted(bounds, pulses.current, "right") - 1, 0, BINS - 1), minlength=BINS
-            )
-            time = trace.seconds / BINS
+            at = np.clip(np.searchsorted(bounds, returns.current[pulses], "right") - 1, 0, BINS - 1)
+            per_bin = np.bincount(at, minlength=BINS)
+            time = trace.measured * len(current) / len(turns) / BINS
             bins = [
                 CurrentBin(float(lo), float(hi), int(k), int(k) / time)
                 for lo, hi, k in zip(bounds[:-1], bounds[1:], per_bin, strict=True)
             ]
             low, high = int(per_bin[: BINS // 2].sum()), int(per_bin[BINS // 2 :].sum())
             excess = (high - low) / math.sqrt(high + low) if high + low else math.nan
+    width = returns.width[bounces]
     return Pulses(
         n,
-        n / trace.seconds,
-        tuple(np.bincount(pulses.input, minlength=3).tolist()),
-        float(pulses.width.max()) if n else math.nan,
+        n / trace.measured,
+        _by_input(returns, pulses),
+        float(returns.width[pulses].max()) if n else math.nan,
+        _by_input(returns, bounces),
+        (float(np.median(width)), float(width.max())) if len(width) else (math.nan, math.nan),
         tuple(bins),
         excess,
     )
+
+
+def kinds(returns: Returns) -> tuple[Bools, Bools]:
+    """Which of them are bounces, and which are pulses."""
+    short = returns.travel < NEAR
+    bounces = short & returns.at_edge & _bouncing(returns, short)[returns.input]
+    return bounces, short & ~bounces
+
+
+def _bouncing(returns: Returns, short: Bools) -> Bools:
+    """By input, whether it bounces: after an edge the old level comes back, so rising edges bounce to 0, falling to 1.
+
+    What always returns from one level, and not only at edges, is a contact.
+    """
+    found = np.zeros(3, bool)
+    for number in range(3):
+        own = short & (returns.input == number)
+        n, near, high = (int(np.count_nonzero(own & which)) for which in (own, returns.at_edge, returns.high))
+        both_ways = ONE_WAY * n < high < (1.0 - ONE_WAY) * n
+        found[number] = bouncing(returns, own) and (both_ways or near > (1.0 - 2.0 * ONE_WAY) * n)
+    return found
+
+
+def _by_input(returns: Returns, which: Bools) -> tuple[int, ...]:
+    return tuple(np.bincount(returns.input[which], minlength=3).tolist())

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bench.signal.trace import INPUTS, SLOW, Edges, Trace
+from bench.signal.hall_inputs import Inputs
+from bench.signal.trace import SLOW, Trace
 
 CLEAR = 0.8
 """Share of the back-EMF that must stand still in the frame of a reference for its angle to be believed."""
@@ -35,7 +35,9 @@ class Turns:
     """Electrical turns by the encoder; by the Hall edges, in both directions alike, without one."""
     down: float
     by_hall: float
-    """Electrical turns by the Hall inputs that change at all, in both directions together; NaN where none does."""
+    """Electrical turns by the sectors, with their sign, in both directions together."""
+    per_hall: float
+    """Electrical turns by the encoder for each by the sectors, in the mean; NaN where that is not known."""
     n_p: int | None
     """Pole pairs that the firmware assumes; None if the drive does not say."""
 
@@ -47,7 +49,7 @@ class Turns:
     @property
     def ratio(self) -> float:
         """Electrical turns by the Hall inputs for each by the encoder; NaN where that is not known."""
-        return self.by_hall / self.total if self.total > 0 else math.nan
+        return 1.0 / abs(self.per_hall) if self.per_hall else math.nan
 
 
 @dataclass(frozen=True)
@@ -66,45 +68,23 @@ class BackEmf:
     """Samples used."""
 
 
-def turns(trace: Trace) -> Turns:
+def turns(trace: Trace, inputs: Inputs) -> Turns:
     """How far the shaft turned."""
     n_p = trace.parameters.get("n_p")
     pole_pairs = None if n_p is None else round(n_p)
-    by_hall = _hall_turns(trace.changes())
-    if not trace.encoder:
-        half = by_hall / 2.0
-        return Turns(half, half, by_hall, pole_pairs)
-    return Turns(trace.up, trace.down, by_hall, pole_pairs)
+    up, down = inputs.turns
+    by_encoder = (trace.up, trace.down) if trace.encoder else (up, down)
+    return Turns(*by_encoder, up + down, inputs.ratio, pole_pairs)
 
 
-def _hall_turns(changes: Sequence[int]) -> float:
-    """Half the changes of an input, in the mean over those that change."""
-    alive = [n for n in changes if n > 0.2 * max(changes)]
-    return float(np.mean(alive)) / 2.0 if alive else math.nan
+def back_emf(trace: Trace, since: int = 0) -> BackEmf | None:
+    """Where the back-EMF stands, from the tick `since` on.
 
-
-def repeats(edges: Edges, factor: float) -> float:
-    """How well edges repeat with `factor` times the encoder's angle: 0 for not at all, 1 for perfectly.
-
-    The mean length of the mean unit vector of an input's rises to a shaft that turns up, and of its falls.
+    None where the outputs were off, too little is known, or it has no clear angle.
     """
-    lengths = []
-    for number in range(len(INPUTS)):
-        for rises in (True, False):
-            met = ((edges.old ^ edges.new) >> number & 1 == 1) & ((edges.new >> number & 1 == 1) == (
-                (edges.omega > 0) == rises
-            ))  # fmt: skip
-            theta = edges.theta[met & np.isfinite(edges.theta)]
-            if len(theta) > 2:
-                lengths.append(abs(np.exp(1j * factor * theta).mean()))
-    return float(np.mean(lengths)) if lengths else 0.0
-
-
-def back_emf(trace: Trace) -> BackEmf | None:
-    """Where the back-EMF stands; None where the outputs were off, too little is known, or it has no clear angle."""
     some = trace.some
     fast = np.abs(some.omega) > 0.5 * np.abs(some.omega[some.settled]).max(initial=0.0)
-    use = some.settled & fast & (np.abs(some.omega) > SLOW)
+    use = some.settled & fast & (np.abs(some.omega) > SLOW) & (some.tick >= since)
     if not trace.encoder or np.count_nonzero(use) < LEAST_SAMPLES:
         return None
     way = np.sign(some.omega[use])

@@ -1,19 +1,17 @@
 """What a shaft and its Hall sensors did, put together window by window: edges with angle, speed and current.
 
-A false pulse is an input that changes and is back within `PULSE` seconds: no shaft passes two edges so quickly. Its two
-edges are taken out of the others and kept as a pulse. Edges of which no angle is known (beside a gap, or before the
-first sample) and edges of a shaft that hardly moves are left out, and counted. Nothing here judges.
+Edges of which no angle is known (beside a gap, or before the first sample) and edges of a shaft that hardly moves are
+counted apart. Nothing here judges.
 
-What is counted is counted over all of it; of more than `MOST` samples and `MOST_EDGES` edges so many evenly spread ones
-are kept to measure from.
+What is counted is counted over all of it; to measure from, evenly spread ones are kept, at most `MOST` samples and
+`MOST_EDGES` edges: whenever there are more, half of them go.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -22,26 +20,28 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
-from bench.signal.chunks import join, part
+from bench.signal.chunks import contiguous
 from bench.signal.position import running
-from bench.signal.waveforms.sectors import SECTORS
 from bench.signal.windows import Window, windows
-from protocol.streams import EdgeChunk
+from protocol.streams import EdgeChunk, SampleChunk
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 STATOR = ("u_alpha", "u_beta", "i_a", "i_b")
 """Channels that the back-EMF is made of."""
+LOOKED_AT = ("hall", "status", "i_d", "i_q", *STATOR)
+"""Channels that are looked at, and the encoder's angle."""
 SLOW = 5.0
 """Electrical rad/s, below which the direction of a shaft is not sure."""
 SLOPE = 8e-3
 """s on either side of a sample over which the speed is taken."""
 AROUND = 2.0 * SLOPE
 """s on either side of a piece, from which the speed at its ends is told."""
-MOST, MOST_EDGES = 500_000, 300_000
-PULSE = 20e-6
-"""s between the two edges of a false pulse, at most: a shaft at 30 000 electrical r/min takes 330 us a sector."""
+MOST, MOST_EDGES, BLOCK = 500_000, 300_000, 60
+"""Samples and edges that are measured from at most; of edges so many in a row are kept."""
+BITS = 32
+"""Of the number of a block, below that of the stretch: a block is a stretch where not all are kept."""
 INPUTS = "abc"
 
 
@@ -57,24 +57,17 @@ class Edges:
     """Electrical angle by the encoder, rad, unwrapped; NaN without an encoder."""
     omega: Floats
     """Electrical speed by the encoder, rad/s; NaN without an encoder."""
-
-
-@dataclass(frozen=True)
-class FalsePulses:
-    """False pulses, each array (k,)."""
-
-    input: Ints
-    """0..2: a, b, c."""
-    width: Floats
-    """s."""
     current: Floats
-    """Size of the current vector then, A; NaN where no current was recorded."""
+    """Size of the current vector, A; NaN where no current was recorded."""
+    stretch: Ints
+    """Number of the stretch without a gap that it lies in."""
 
 
 @dataclass(frozen=True)
 class Some:
     """Some of the samples, evenly spread, each array (k,)."""
 
+    tick: Ints
     hall: Ints
     """Codes."""
     theta: Floats
@@ -90,17 +83,23 @@ class Some:
     """Whether the outputs were on, and had been for eight samples."""
 
 
-Arrays = TypeVar("Arrays", Some, Edges, FalsePulses)
+Arrays = TypeVar("Arrays", Some, Edges)
 
 
 class Trace:
-    """A stretch of time in which a shaft turned, put together window by window.
+    """A stretch of time in which a shaft turned, put together window by window; it may be read in between.
 
-    `samples`, `edges`: about how many there will be. `some`, `edges` and `pulses` are read when all has been added.
+    `most`, `most_edges`: samples and edges that are kept to measure from; 0: `MOST` and `MOST_EDGES`.
     """
 
-    def __init__(self, samples: int, edges: int) -> None:
-        self._every, self._every_turn = -(-samples // MOST) or 1, -(-edges // MOST_EDGES) or 1
+    def __init__(self, most: int = 0, most_edges: int = 0) -> None:
+        self._most, self._most_edges = most or MOST, most_edges or MOST_EDGES
+        self._every = self._every_block = 1
+        self.breaks = 0
+        """Gaps, of samples and of edges."""
+        self.came = 0
+        """Edges, kept or not."""
+        self.tick_hz = 0
         self.samples = 0
         """How many there are."""
         self.codes = np.zeros(8, np.int64)
@@ -122,29 +121,26 @@ class Trace:
         """What was lost, as a `Capture` has it."""
         self._some: list[Some] = []
         self._edges: list[Edges] = []
-        self._pulses: list[FalsePulses] = []
+        self._kept = self._kept_edges = 0
         self._angle: float | None = None  # the last one, unwrapped
 
-    @cached_property
+    @property
     def some(self) -> Some:
         """Some of the samples, evenly spread."""
-        return _together(Some, self._some)
+        self._some = [_together(Some, self._some)]
+        return self._some[0]
 
-    @cached_property
+    @property
     def edges(self) -> Edges:
-        """Some of the edges, evenly spread, of whole turns."""
-        return _together(Edges, self._edges)
+        """Edges, some in a row each, evenly spread; no angle is known beside a gap."""
+        self._edges = [_together(Edges, self._edges)]
+        return self._edges[0] if self._every_block > 1 else _in_a_row(self._edges[0])
 
-    @cached_property
-    def pulses(self) -> FalsePulses:
-        """All false pulses."""
-        return _together(FalsePulses, self._pulses)
-
-    def add(self, window: Window) -> None:
-        """Add a window, which has `SLOPE` on either side of its own samples, or more."""
+    def add(self, window: Window) -> Edges:
+        """Add a window, which has `SLOPE` on either side of its own samples, or more. Returns its edges."""
         capture, own = window.capture, window.own
         config, tick = capture.samples.config, capture.samples.tick
-        self.parameters, self.pwm_hz = capture.parameters, config.pwm_hz
+        self.parameters, self.pwm_hz, self.tick_hz = capture.parameters, config.pwm_hz, config.tick_hz
         self.encoder = bool(reference_angle(config.channels))
         period = float(np.median(np.diff(tick))) if len(capture) > 1 else 1.0
         self.sample_time = self.sample_time or period / capture.tick_hz
@@ -156,15 +152,16 @@ class Trace:
         theta = omega = np.full(len(capture), math.nan)
         if self.encoder:
             theta = self._unwrapped(capture.theta, own)
-            omega = speed(theta, capture.t)
+            omega = np.concatenate([speed(theta[rows], capture.t[rows]) for rows in contiguous(capture.samples)])
             way = omega[own] * self.sample_time / math.tau
             moving = np.abs(omega[own]) >= SLOW
             self.up += float(way[moving & (way > 0)].sum())
             self.down -= float(way[moving & (way < 0)].sum())
         current = _current(capture)
         self._add_some(capture, own, hall, theta, omega, current)
-        self._add_edges(capture, theta, omega, current)
+        edges = self._add_edges(capture, theta, omega, current)
         self.samples += own.stop - own.start
+        return edges
 
     def _unwrapped(self, theta: Floats, own: slice) -> Floats:
         """The angle as it goes on from the window before: what does not repeat with it does so over all of them."""
@@ -180,39 +177,61 @@ class Trace:
         u = i = np.full(len(hall), complex(math.nan, math.nan))
         if all(name in capture for name in STATOR):
             u, i = stator(capture)
-        columns = (hall, theta, omega, current, u, i, driven(capture))
+        columns = (capture.samples.tick, hall, theta, omega, current, u, i, driven(capture))
         self._some.append(Some(*(column[at] for column in columns)))  # type: ignore[arg-type]
+        self._kept += len(at)
+        while self._kept > self._most:
+            self._every *= 2
+            self._some = [_of(self.some, slice(None, None, 2))]
+            self._kept = len(self._some[0].tick)
 
-    def _add_edges(self, capture: Capture, theta: Floats, omega: Floats, current: Floats) -> None:
+    def _add_edges(self, capture: Capture, theta: Floats, omega: Floats, current: Floats) -> Edges:
         raw = capture.edges
         tick, old, new = raw.tick, raw.hall_old.astype(np.int64) & 7, raw.hall_new.astype(np.int64) & 7
-        first = _pulse_starts(tick, old, new, PULSE * capture.tick_hz)
-        free = np.ones(len(tick), bool)
-        free[first] = free[first + 1] = False
-        self._pulses.append(
-            FalsePulses(
-                np.array([int(bits).bit_length() - 1 for bits in old[first] ^ new[first]], np.int64),
-                (tick[first + 1] - tick[first]) / capture.tick_hz,
-                current[np.clip(np.searchsorted(capture.samples.tick, tick[first]), 0, len(current) - 1)],
-            )
-        )
-        tick, old, new, kept = tick[free], old[free], new[free], (raw.index // SECTORS % self._every_turn == 0)[free]
-        angle = rate = np.full(len(tick), math.nan)
         used = np.ones(len(tick), bool)
-        if self.encoder:
-            angle, rate = (np.interp(tick, capture.samples.tick, values) for values in (theta, omega))
+        angle = rate = np.full(len(tick), math.nan)
+        if self.encoder and len(tick):
             known = _known(capture.samples.tick, tick, self.sample_time * capture.tick_hz)
+            angle, rate = (
+                np.where(known, np.interp(tick, capture.samples.tick, values), math.nan) for values in (theta, omega)
+            )
             used = known & (np.abs(rate) >= SLOW)
             self.unplaced += int(np.count_nonzero(~known))
             self.slow += int(np.count_nonzero(known & ~used))
         np.add.at(self.changed, (old[used], new[used]), 1)
-        kept &= used
-        self._edges.append(Edges(tick[kept], old[kept], new[kept], angle[kept], rate[kept]))
+        near = np.clip(np.searchsorted(capture.samples.tick, tick), 0, len(current) - 1)
+        breaks = np.sort(np.append(_after_gaps(capture.samples), _after_gaps(raw)))
+        stretch = self.breaks + np.searchsorted(breaks, tick, "right")
+        self.breaks += len(breaks)
+        added = Edges(tick, old, new, angle, rate, current[near], (stretch << BITS) + raw.index // BLOCK)
+        self._edges.append(self._evenly(added))
+        self.came += len(tick)
+        self._kept_edges += len(self._edges[-1].tick)
+        while self._kept_edges > self._most_edges:
+            self._every_block *= 2
+            self._edges = [self._evenly(_together(Edges, self._edges))]
+            self._kept_edges = len(self._edges[0].tick)
+        return _in_a_row(added)
+
+    def _evenly(self, edges: Edges) -> Edges:
+        """Those of the blocks that are kept."""
+        return _of(edges, (edges.stretch & (1 << BITS) - 1) % self._every_block == 0)
+
+    @property
+    def count(self) -> float:
+        """rad between two angles that the encoder knows; 0 without one."""
+        theta = np.unique(np.round(self.some.theta % math.tau, 4))
+        return float(np.median(np.diff(theta))) if self.encoder and 2 < len(theta) < len(self.some.theta) / 2 else 0.0
 
     @property
     def seconds(self) -> float:
         """Time covered by samples."""
         return self.samples * self.sample_time
+
+    @property
+    def measured(self) -> float:
+        """Time of the edges that were kept, s."""
+        return self.seconds * (self._kept_edges / self.came if self.came else 1.0)
 
     def changes(self) -> list[int]:
         """How often each input changed."""
@@ -238,13 +257,10 @@ class Trace:
         return still
 
 
-def trace_of(captures: Iterable[Capture], samples: int, edges: int) -> Trace:
-    """The trace of captures that follow each other; `samples`, `edges`: about how many there are.
-
-    BenchError without samples, and without the channel `hall`.
-    """
-    found = Trace(samples, edges)
-    for window in _with_whole_pulses(windows(captures, AROUND)):
+def trace_of(captures: Iterable[Capture]) -> Trace:
+    """The trace of captures that follow each other. BenchError without samples, and without the channel `hall`."""
+    found = Trace()
+    for window in windows(captures, AROUND):
         if "hall" not in window.capture:
             raise BenchError("the channel 'hall' was not recorded: record it (bench live --save, all channels)")
         found.add(window)
@@ -253,30 +269,19 @@ def trace_of(captures: Iterable[Capture], samples: int, edges: int) -> Trace:
     return found
 
 
-def _with_whole_pulses(found: Iterable[Window]) -> Iterator[Window]:
-    """The same, but edges that follow each other as those of a false pulse are all in one of them."""
-    waiting: Window | None = None
-    for window in found:
-        if waiting is not None:
-            edges = waiting.capture.edges
-            ticks = np.concatenate([edges.tick, window.capture.edges.tick[:1]])
-            apart = np.flatnonzero(np.diff(ticks) > PULSE * window.capture.tick_hz)
-            kept = len(edges) if len(ticks) == len(edges) else int(apart[-1]) + 1 if len(apart) else 0
-            late = part(edges, kept, len(edges))
-            yield _with_edges(waiting, part(edges, 0, kept))
-            if len(late):
-                window = _with_edges(window, join([late, window.capture.edges]))
-        waiting = window
-    if waiting is not None:
-        yield waiting
-
-
-def _with_edges(window: Window, edges: EdgeChunk) -> Window:
-    return replace(window, capture=replace(window.capture, edges=edges))
-
-
 def _together(kind: type[Arrays], parts: list[Arrays]) -> Arrays:
+    if len(parts) == 1:
+        return parts[0]
     return kind(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(kind)))
+
+
+def _of(arrays: Arrays, which: NDArray[np.bool_] | slice) -> Arrays:
+    return type(arrays)(*(getattr(arrays, field.name)[which] for field in fields(arrays)))
+
+
+def _in_a_row(edges: Edges) -> Edges:
+    """With the stretches of edges of which all were kept."""
+    return replace(edges, stretch=edges.stretch >> BITS)
 
 
 def _known(at: Ints, tick: Ints, period: float) -> NDArray[np.bool_]:
@@ -290,6 +295,12 @@ def _known(at: Ints, tick: Ints, period: float) -> NDArray[np.bool_]:
     return known
 
 
+def _after_gaps(chunk: SampleChunk | EdgeChunk) -> Ints:
+    """Ticks of what comes first after a gap."""
+    positions = [gap.position for gap in chunk.gaps if gap.position < len(chunk)]
+    return chunk.tick[positions]
+
+
 def _current(capture: Capture) -> Floats:
     """Size of the current vector: by its dq components, else by two phases."""
     if "i_d" in capture and "i_q" in capture:
@@ -297,17 +308,6 @@ def _current(capture: Capture) -> Floats:
     if "i_a" in capture and "i_b" in capture:
         return np.hypot(capture["i_a"], (capture["i_a"] + 2.0 * capture["i_b"]) / math.sqrt(3.0))
     return np.full(len(capture), math.nan)
-
-
-def _pulse_starts(tick: Ints, old: Ints, new: Ints, width: float) -> Ints:
-    """Indices of edges that the next one undoes within `width` ticks; no edge is in two pulses."""
-    single = np.isin(old ^ new, (1, 2, 4))
-    candidates = np.flatnonzero(single[:-1] & (new[1:] == old[:-1]) & (np.diff(tick) <= width))
-    starts: list[int] = []
-    for k in candidates.tolist():
-        if not starts or k > starts[-1] + 1:
-            starts.append(k)
-    return np.array(starts, np.int64)
 
 
 def speed(theta: Floats, t: Floats) -> Floats:

@@ -6,8 +6,11 @@ insufficient for either.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterable
 from enum import StrEnum
+
+from bench.errors import ExitCode
 
 
 class Verdict(StrEnum):
@@ -21,6 +24,18 @@ class Verdict(StrEnum):
     ABORTED = "ABORTED"  # the run was interrupted
     SKIPPED = "SKIPPED"  # the rig lacks what the test needs
 
+    @property
+    def exit_code(self) -> int:
+        """Of a command that ended like this."""
+        return _CODES.get(self, ExitCode.ERROR)
+
+
+_CODES = {
+    Verdict.PASS: ExitCode.DONE,
+    Verdict.FAIL: ExitCode.FAILED,
+    Verdict.INCOMPLETE: ExitCode.INCOMPLETE,
+    Verdict.ABORTED: 128 + signal.SIGINT,
+}
 
 WORDS = {
     Verdict.ABORTED: "aborted", Verdict.FAIL: "failed", Verdict.ERROR: "in error", Verdict.INVALID: "invalid",

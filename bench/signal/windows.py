@@ -43,35 +43,51 @@ class Window:
 
 
 def windows(captures: Iterable[Capture], around: float, most: int = 0) -> Iterator[Window]:
-    """Captures one after the other as windows, with the samples of `around` s and more, if there are, around their own.
-
-    `most`: samples in one, about; 0: `PIECE`. Of no samples there is none.
-    """
-    before: Capture | None = None
-    now: Capture | None = None
-    for after in _cut(captures, around, most or PIECE):
-        if now is not None:
-            yield _window(before, now, after, around)
-        before, now = now, after
-    if now is not None:
-        yield _window(before, now, None, around)
-
-
-def _cut(captures: Iterable[Capture], least: float, most: int) -> Iterator[Capture]:
-    """The same in pieces of `least` s or longer, but for the last, and of about `most` samples at most."""
-    held: Capture | None = None
+    """Captures one after the other as windows, see `Windows`. Of no samples there is none."""
+    made = Windows(around, most)
     for capture in captures:
-        held = capture if held is None else joined([held, capture])
-        few = _samples(held, least)
-        most = max(most, few)
-        while len(held) >= most + few:
-            first, held = _parted(held, most)
-            yield first
+        yield from made.add(capture)
+    yield from made.end()
+
+
+class Windows:
+    """Makes windows of captures as they come, with the samples of `around` s and more, if there are, around their own.
+
+    `most`: samples in one, about; 0: `PIECE`.
+    """
+
+    def __init__(self, around: float, most: int = 0) -> None:
+        self._around, self._most = around, most or PIECE
+        self._held: Capture | None = None  # too short for a window
+        self._before: Capture | None = None
+        self._now: Capture | None = None
+
+    def add(self, capture: Capture) -> Iterator[Window]:
+        """Take a capture that follows those before; the windows that are complete by it. All are to be taken."""
+        held = capture if self._held is None else joined([self._held, capture])
+        few = _samples(held, self._around)
+        self._most = max(self._most, few)
+        while len(held) >= self._most + few:
+            first, held = _parted(held, self._most)
+            yield from self._next(first)
+        self._held = held
         if len(held) >= few:
-            yield held
-            held = None
-    if held is not None and len(held):
-        yield held
+            self._held = None
+            yield from self._next(held)
+
+    def end(self) -> Iterator[Window]:
+        """The windows that are left."""
+        held, self._held = self._held, None
+        if held is not None and len(held):
+            yield from self._next(held)
+        if self._now is not None:
+            yield _window(self._before, self._now, None, self._around)
+        self._before = self._now = None
+
+    def _next(self, after: Capture) -> Iterator[Window]:
+        if self._now is not None:
+            yield _window(self._before, self._now, after, self._around)
+        self._before, self._now = self._now, after
 
 
 def _parted(capture: Capture, n: int) -> tuple[Capture, Capture]:

@@ -21,7 +21,7 @@ from bench.view import last_second, plane, schema
 from bench.view.extent import Extent
 from bench.view.last_second import LastSecond
 from bench.view.plane import Plane
-from bench.view.plots import LEGEND_SHARE, TREND, Line, Plot, plots
+from bench.view.plots import LEGEND_SHARE, TREND, Line, Plot, plots, returns
 from bench.view.states import drive_entity
 
 HALL = 0.1  # seconds that the Hall view shows
@@ -74,7 +74,11 @@ def blueprint(
     apart = {"bus"} if second_page else set()
     trends = _rows([p for key, p in found.items() if p.entity == schema.TREND and key not in apart], run, whole)
     waves = _rows([plot for plot in found.values() if plot.entity == schema.FAST], run)
-    columns = [_column(trends, [states]), _column(waves, [hall] if run.hall else []), _texts(Plane(run).contents)]
+    columns = [
+        _column(trends, [states]),
+        _column(waves, [hall, *_returns(run, whole)] if run.hall else []),
+        _texts(Plane(run).contents),
+    ]
     shares = [5, 5, 4.4]
     views: rrb.Container = rrb.Horizontal(
         *(column for column in columns if column),
@@ -113,6 +117,17 @@ def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None = N
     room = max(ROWS, MOST_ROWS - known)
     views: list[rrb.View | rrb.Container] = [_view(plot, run, whole) for plot in found]
     return views if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
+
+
+def _returns(run: RunInfo, whole: tuple[int, int] | None) -> list[rrb.View]:
+    """Bounces and pulses of the Hall sensors."""
+    plot = returns(run)
+    if plot is None:
+        return []
+    if whole is None:
+        return [time_series(plot, {plot.entity: plot.lines}, _span(plot.seconds), _span(plot.seconds))]
+    plot = replace(plot, name=plot.name.rpartition(", last")[0])
+    return [time_series(plot, {plot.entity: plot.lines}, _ticks(run, *whole), _wide(run, *whole))]
 
 
 def _column(rows: Sequence[rrb.View | rrb.Container], lanes: Sequence[rrb.View]) -> rrb.Container | None:

@@ -23,7 +23,7 @@ from bench.signal.position import wrap
 from bench.signal.units import RPM
 from bench.signal.waveforms import Thd, thd_by_angle
 from bench.signal.waveforms.harmonics import ORDER, PERIODS
-from bench.signal.waveforms.sectors import NUMERALS, edge_passages
+from bench.signal.waveforms.sectors import NUMERALS, edge_angle, edge_passages, hall_offset
 from bench.view import markdown, schema
 from bench.view.plane import FAINT, circle
 from protocol.streams import EdgeChunk, SampleChunk
@@ -272,7 +272,7 @@ class LastSecond:
         for way, sign in ((FORWARD, 1), (REVERSE, -1)):
             met = passed == sign
             sector = opened[met]
-            late = sign * np.degrees(wrap(angle[met] - sector * (math.tau / len(NUMERALS))))
+            late = sign * np.degrees(wrap(angle[met] - edge_angle(sector, hall_offset(self._run.parameters))))
             seen = np.flatnonzero(np.bincount(sector, minlength=len(NUMERALS)))
             if not len(seen):
                 continue

@@ -29,9 +29,10 @@ from bench.view import markdown, schema, states
 from bench.view.blocks import Block
 from bench.view.extent import Extents
 from bench.view.hall_lanes import HallLanes
+from bench.view.hall_returns import HallReturns
 from bench.view.last_second import LastSecond
 from bench.view.plane import Picture, Plane
-from bench.view.plots import LEGEND_SHARE, TREND, Line, Plot, left_out, plots, trend_lines
+from bench.view.plots import LEGEND_SHARE, TREND, Line, Plot, left_out, plots, returns, trend_lines
 from bench.view.trend import Rows, TrendBinner
 from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import DeviceEvent, DriveState, EventCode, Heartbeat
@@ -81,6 +82,7 @@ class RunLog:
         self._drive = states.drive_entity(run)
         self._lanes_ns = 0
         self._hall = HallLanes(run)
+        self._returns, self._returns_plot = HallReturns(run.tick_hz), returns(run)
         self.marks: list[Mark] = []
         self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
         self._device = DeviceCounters()
@@ -221,6 +223,7 @@ class RunLog:
             self._next_plane_ns = self._next_health_ns = self._next_room_ns = self._next_lot_ns = t_ns
             self._lanes_ns = self._now_ns = t_ns
             self._hall.restart()
+            self._returns.restart()
             self._last_second.restart()
             self._first_ns = None
         self._now_ns = max(self._now_ns, t_ns)
@@ -244,6 +247,7 @@ class RunLog:
         self._status_lanes(chunk, t_ns)
         self._send_guide(int(t_ns[0]), int(t_ns[-1]))
         self._hall.samples(t_ns, chunk.raw)
+        self._send_returns(chunk.tick, values.get(self.run.position_reference or ""))
         self._add_trend(t_ns, values, errors)
         if t_ns[-1] >= self._next_plane_ns:
             self._next_plane_ns = int(t_ns[-1] + PLANE_PERIOD * 1e9)
@@ -259,7 +263,18 @@ class RunLog:
         self._send(stream.entity, t_ns, columns)
         if stream.entity == schema.HALL:
             self._hall.edges(t_ns, chunk.hall_new)
+            self._returns.edges(chunk)
             self._last_second.edges(chunk)
+
+    def _send_returns(self, tick: NDArray[np.int64], theta: Values | None) -> None:
+        """Log bounces and pulses of the seconds that have ended with these samples; `theta`: by the encoder."""
+        if self._returns_plot is None:
+            return
+        ends, counts = self._returns.samples(tick, theta)
+        if len(ends):
+            columns = zip(self._returns_plot.lines, counts.T, strict=True)
+            values = {line.component: pa.array(count.astype(np.float32)) for line, count in columns}
+            self._send(schema.RETURNS, ns_from_tick(ends, self.run.tick_hz), values)
 
     def _send_rest(self) -> None:
         self._send_trend(self._trend.rest())

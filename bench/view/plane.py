@@ -16,7 +16,7 @@ import rerun as rr
 
 from bench.record.info import RunInfo
 from bench.signal.colours import RGB, TABLE
-from bench.signal.waveforms.sectors import NUMERALS
+from bench.signal.waveforms.sectors import NUMERALS, SECTOR_WIDTH, SECTORS, edge_angle, hall_offset
 from bench.view import schema
 
 X_RANGE, Y_RANGE = (-2.75, 1.3), (-1.25, 1.25)
@@ -84,8 +84,9 @@ class Plane:
         """Yield entity and static content: circle, sector borders and names, phase axes; how arrows and legend look."""
         if not self.contents:
             return
-        rays = [[(0.0, 0.0), _xy(k * math.pi / 3)] for k in range(6)]
-        names = [(_xy(math.radians(60 * k + 30), 0.86), NUMERALS[k], FAINT) for k in range(6)]
+        edges = edge_angle(np.arange(SECTORS), hall_offset(self._run.parameters)).tolist()
+        rays = [[(0.0, 0.0), _xy(edge)] for edge in edges]
+        names = [(_xy(edge + SECTOR_WIDTH / 2, 0.86), name, FAINT) for edge, name in zip(edges, NUMERALS, strict=True)]
         names += [(_xy(2 * math.pi / 3 * k, 1.13), name, TABLE[f"i_{name}"].rgb) for k, name in enumerate("abc")]
         yield from circle(schema.PLANE, rays, names)
         arrows = self._arrows(dict.fromkeys(self._used, 0.0), {})

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from bench.record.info import AnyChannel, RunInfo
-from bench.signal.colours import RGB, TABLE
+from bench.signal.colours import RGB, SPARES, TABLE
 from bench.view import schema
 from protocol.signals import Flag
 
@@ -94,6 +94,15 @@ def trend_lines(run: RunInfo) -> tuple[list[Line], list[Line]]:
     """The lines over the long run, each once: those shown as bands, and those shown as means."""
     lines = {line.component: line for plot in plots(run).values() if plot.entity == schema.TREND for line in plot.lines}
     return [line for line in lines.values() if not line.mean], [line for line in lines.values() if line.mean]
+
+
+def returns(run: RunInfo) -> Plot | None:
+    """Bounces and pulses a second, by Hall sensor, of a drive that streams edges."""
+    if "edges" not in run.identity.get("features", ("edges",)):
+        return None
+    names = [f"{what} {sensor}" for what in ("bounces", "pulses") for sensor in "abc"]
+    lines = tuple(Line(f"returns:{n}", "", n, look.rgb) for n, look in zip(names, SPARES, strict=False))
+    return Plot(f"Hall sensors: bounces and pulses a second, last {TREND:g} s", schema.RETURNS, lines, seconds=TREND)
 
 
 def left_out(run: RunInfo) -> list[str]:

@@ -22,6 +22,7 @@ TIMELINE = "device_time"
 FAST = SAMPLES  # the drive's samples at full rate, and the position errors
 TREND = "trend"  # minima and maxima over 10 ms of what the long plots show
 HALL = EDGES  # Hall edges, tick-exact
+RETURNS = "hall-returns"  # bounces and pulses in each second, by Hall sensor
 HALL_LANES = "a-b-c-sector"  # the Hall code at each edge, and again in between; its name tells the rows
 EVENTS = "log/drive"
 NOTES = "log/host"

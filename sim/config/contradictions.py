@@ -19,6 +19,7 @@ def contradictions(p: BenchParams, sources: Mapping[str, str]) -> Iterator[str]:
     yield from _mixed(sources)
     yield from _assumptions(p)
     yield from _limits(p)
+    yield from _faults(p)
 
 
 def _mixed(sources: Mapping[str, str]) -> Iterator[str]:
@@ -65,3 +66,11 @@ def _limits(p: BenchParams) -> Iterator[str]:
             f"clock.pwm_hz = {p.clock.pwm_hz} Hz makes only {periods:.3g} periods of an electrical revolution at "
             f"firmware.omega_m_max = {firmware.omega_m_max:g} rad/s"
         )
+
+
+def _faults(p: BenchParams) -> Iterator[str]:
+    wrong = [name for name, value in p.wiring if value]
+    if p.faults.begin and wrong:
+        yield f"faults.begin = {p.faults.begin:g} s, but wiring.{wrong[0]} is in force from the start"
+    if any(p.faults.hall.drift_deg) and not p.thermal.R_th_winding:
+        yield "faults.hall.drift_deg moves nothing: with thermal.R_th_winding = 0 K/W nothing gets warm"

@@ -100,6 +100,7 @@ RULES: dict[str, tuple[int, Callable[[Design], float]]] = {
     "firmware.psi_f_hat": (0, lambda d: d["motor.psi_f"]),
     "firmware.i_max": (0, lambda d: d["motor.i_max"]),
     "firmware.omega_m_max": (0, lambda d: d.top),
+    "firmware.hall_offset": (0, lambda d: math.remainder(math.radians(d["hall.offset_deg"]), math.tau)),
     "current_sensor.range": (2, lambda d: max(2.5 * d["motor.i_max"], 0.1)),
     "current_sensor.noise_rms": (2, lambda d: d["current_sensor.range"] / 1000.0),
     # the shaft and its load machine, by rated torque and speed

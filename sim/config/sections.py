@@ -8,7 +8,7 @@ imports no numba.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
@@ -149,6 +149,7 @@ class Hall(Section):
     """The three Hall sensors, electrical degrees."""
 
     delta_deg: Six[Annotated[float, _number("deg", ge=-29, le=29)]]
+    offset_deg: float = _number("deg", ge=-360, le=360)
     hysteresis_deg: float = _number("deg", ge=0, le=10)
     pole_pair_deg: float = _number("deg", ge=0, le=10)
     latency: float = _number("s", ge=0, le=1e-3)
@@ -156,16 +157,21 @@ class Hall(Section):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
+        self.fits()
+        return self
+
+    def fits(self, faults: float = 0.0) -> None:
+        """Raise ValueError where a sector has no room left, with so many degrees of faults."""
         # Neighbouring edges must be further apart than hysteresis plus pole pairs plus 4 sigma of jitter on both.
-        margin = self.hysteresis_deg + 2.0 * self.pole_pair_deg + 8.0 * self.jitter_deg
+        margin = self.hysteresis_deg + 2.0 * self.pole_pair_deg + 8.0 * self.jitter_deg + faults
+        also = f", with {faults:.3g} deg by [faults]," if faults else ""
         for s in range(6):
             width = 60.0 - self.delta_deg[(s + 1) % 6] + self.delta_deg[s]
             if width <= margin:
                 raise ValueError(
                     f"delta_deg leaves sector {s + 1} only {width:g} deg wide; it must be wider "
-                    f"than hysteresis_deg + 2 pole_pair_deg + 8 jitter_deg = {margin:g} deg"
+                    f"than hysteresis_deg + 2 pole_pair_deg + 8 jitter_deg{also} = {margin:.6g} deg"
                 )
-        return self
 
 
 class Wiring(Section):
@@ -178,11 +184,102 @@ class Wiring(Section):
     hall_glitch: float = _LOAD["hall_glitch"]
 
 
+class HallFaults(Section):
+    """What is wrong with the Hall sensors a, b, c and their inputs."""
+
+    rise_delay: Three[Annotated[float, _number("s", ge=0, le=0.01)]]
+    fall_delay: Three[Annotated[float, _number("s", ge=0, le=0.01)]]
+    bounce: Three[Annotated[float, _number(ge=0, le=1)]]
+    bounce_returns: Whole = _number(ge=1, le=20)
+    bounce_spacing: float = _number("s", ge=1e-6, le=0.01)
+    pulse_rate: Three[Annotated[float, _number("1/s", ge=0, le=1e4)]]
+    pulse_min: float = _number("s", ge=1e-6, le=0.01)
+    pulse_max: float = _number("s", ge=1e-6, le=0.01)
+    pulse_by: Whole = _number(ge=0, le=2)
+    contact_open: Three[Annotated[float, _number(ge=0, le=0.999)]]
+    contact_stretch: float = _number("s", ge=5e-5, le=1)
+    hysteresis_deg: Three[Annotated[float, _number("deg", ge=0, le=20)]]
+    drift_deg: Three[Annotated[float, _number("deg/K", ge=-0.5, le=0.5)]]
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.pulse_min > self.pulse_max:
+            raise ValueError(f"pulse_min must be <= pulse_max = {self.pulse_max:g} s, got {self.pulse_min:g}")
+        width = 0.5 * (self.pulse_min + self.pulse_max)
+        if max(self.pulse_rate) * width > 0.9:
+            raise ValueError(
+                f"pulse_rate must be <= {0.9 / width:.3g} 1/s for pulses of {width:g} s, got {max(self.pulse_rate):g}"
+            )
+        return self
+
+
+class MagnetFaults(Section):
+    """What is wrong with the magnets that the Hall sensors see."""
+
+    pole_pair: Whole = _number(ge=1, le=64)
+    pole_pair_off_deg: float = _number("deg", ge=-40, le=40)
+    eccentricity_deg: float = _number("deg", ge=0, le=40)
+
+
+class ShaftFaults(Section):
+    """What moves the shaft at rest."""
+
+    rock_deg: float = _number("deg", ge=0, le=360)
+    rock_hz: float = _number("Hz", ge=0.1, le=100)
+
+
+class EncoderFaults(Section):
+    """What is wrong with the encoder."""
+
+    slip_deg: float = _number("deg", ge=-360, le=360)
+    slip_at: float = _number("s", ge=0)
+    lost_per_rev: float = _number(ge=-1000, le=1000)
+    pulses_hat: Whole = _number(ge=0, le=16383)
+    reversed: Whole = _number(ge=0, le=1)
+
+
+class Faults(Section):
+    """What goes wrong, and when: from `begin` on until `end`, s since boot."""
+
+    begin: float = _number("s", ge=0)
+    end: float = _number("s", ge=0)
+    hall: HallFaults
+    magnets: MagnetFaults
+    shaft: ShaftFaults
+    encoder: EncoderFaults
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.end and self.end <= self.begin:
+            raise ValueError(f"end must be > begin = {self.begin:g} s, or 0 for never, got {self.end:g}")
+        return self
+
+    def without(self) -> Self:
+        """The same with nothing in force: the size of each fault is zero."""
+        return self.replace(**{name: _zeroed(getattr(self, name), sizes) for name, sizes in FAULTS.items()})
+
+
+FAULTS = {
+    "hall": (
+        "rise_delay", "fall_delay", "bounce", "pulse_rate", "contact_open", "hysteresis_deg", "drift_deg"
+    ),
+    "magnets": ("pole_pair_off_deg", "eccentricity_deg"),
+    "shaft": ("rock_deg",),
+    "encoder": ("slip_deg", "lost_per_rev", "pulses_hat", "reversed"),
+}  # fmt: skip
+"""Keys of the sections of [faults] that say how large a fault is, zero: none; the others say of what kind."""
+
+
+def _zeroed(section: Section, names: Sequence[str]) -> Section:
+    return section.replace(**{name: (0.0,) * 3 if isinstance(getattr(section, name), tuple) else 0 for name in names})
+
+
 class Encoder(Section):
     """The incremental encoder."""
 
     present: Whole = _number(ge=0, le=1)
     index_search: Whole = _number(ge=0, le=1)
+    index_resets: Whole = _number(ge=0, le=1)
     pulses_per_rev: Whole = _number(ge=1, le=16383)
     offset_deg: float = _number("deg", ge=-360, le=360)
     bw_speed: float = _number("Hz", ge=0.1, le=1000)
@@ -336,6 +433,9 @@ class Firmware(Section):
     i_max: float = _DRIVE["i_max"]
     omega_m_max: float = _DRIVE["omega_m_max"]
     alpha_m_max: float = _DRIVE["alpha_m_max"]
+    hall_offset: float = _DRIVE["hall_offset"]
+    hall_swap_hat: Whole = _DRIVE["hall_swap_hat"]
+    hall_invert_hat: Whole = _DRIVE["hall_invert_hat"]
     observer: Whole = _DRIVE["observer"]
     watchdog: float = _DRIVE["watchdog"]
     hall_speed: HallSpeed
@@ -359,6 +459,7 @@ class BenchParams(Section):
     load: Load
     hall: Hall
     wiring: Wiring
+    faults: Faults
     encoder: Encoder
     dc_link: DcLink
     inverter: Inverter
@@ -401,6 +502,11 @@ class BenchParams(Section):
         link = self.dc_link
         if link.R_source and link.u_brake and link.u_brake <= inverter.u_dc:
             raise ValueError(f"dc_link.u_brake must be > inverter.u_dc = {inverter.u_dc:g} V, got {link.u_brake:g}")
+        magnets, n_p = self.faults.magnets, motor.n_p
+        if magnets.pole_pair_off_deg and magnets.pole_pair > n_p:
+            raise ValueError(f"faults.magnets.pole_pair must be <= motor.n_p = {n_p}, got {magnets.pole_pair}")
+        more = max(self.faults.hall.hysteresis_deg) + abs(magnets.pole_pair_off_deg)
+        self.hall.fits(more + 2.0 * magnets.eccentricity_deg * math.sin(math.pi / (6.0 * n_p)))
         if self.firmware.observer == AngleSource.ENCODER and not self.encoder.present:
             raise ValueError("firmware.observer must be 1 or 2 where encoder.present = 0, got 0")
         return self
@@ -413,4 +519,5 @@ class BenchParams(Section):
     def load_parameters(self) -> dict[str, float]:
         """The initial values of the load machine's `LOAD_PARAMETERS` by name."""
         own = {name: value for section in (self.load, self.wiring) for name, value in section.leaves() if name in _LOAD}
-        return own | {f"hall_delta_{s}": math.radians(delta) for s, delta in enumerate(self.hall.delta_deg, 1)}
+        own |= {f"hall_delta_{s}": math.radians(delta) for s, delta in enumerate(self.hall.delta_deg, 1)}
+        return own | {"faults": float(self.faults.begin == 0.0)}

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.messages import DriveState, Fault, SetpointMode
-from protocol.signals import AngleSource
+from protocol.signals import AngleSource, hall_map
 from protocol.streams import EDGE_RECORD
 from sim.config.params import BenchParams, ConfigError
 from sim.control import current_loop, dead_time, speed_loop
@@ -35,6 +35,7 @@ from sim.plant import (
     current_sensor,
     dc_link,
     encoder,
+    hall_input,
     hall_sensor,
     hall_wiring,
     integrator,
@@ -50,6 +51,7 @@ __all__ = ["SOURCES", "Recorded", "SimulatedBench", "Truth"]
 FRONT_END = AngleSource.AVERAGE_SPEED  # whose estimate the loop makes in any case
 ALWAYS = {AngleSource.VECTOR_TRACKING}  # observers that run in any case
 WARM_UP = 0.1  # s for which an observer runs before the control of a running motor takes its angle
+HALL_RING = ("hall_offset", "hall_swap_hat", "hall_invert_hat")
 SHOWN = 0.98  # of the largest speed that the Hall sensors show
 ROW = layout(tick.Row).itemsize // 8  # words
 PORTION = 2048  # periods that run at most before the observers do: what they see is still near
@@ -94,6 +96,7 @@ class SimulatedBench:
         self._source = self._source_before = int(self.parameters["observer"])
         self._source_from = 0  # the first sample at which the control uses `_source`, and not `_source_before`
         self._params, self._state, self._command = Cells(tick.Params), Cells(tick.State), Cells(tick.Command)
+        self._inputs = Cells(hall_input.State)
         self._drive = tick_firmware.Command(int(DriveState.IDLE), 0, 0.0, 0.0, 0.0)
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
         self._load_state = int(DriveState.IDLE)
@@ -108,6 +111,10 @@ class SimulatedBench:
         self._samples = Cells(Sample, PORTION)
         firmware = self._state.array["firmware"]
         self._faults, self._causes = firmware["faults"], firmware["protection"]["causes"]
+        faults, pwm_hz = params.faults, params.clock.pwm_hz
+        begin, end, self._slips = (_sample(at, pwm_hz) for at in (faults.begin, faults.end, faults.encoder.slip_at))
+        self._moments = {self._slips: None, begin: 1.0, end: 0.0}  # by sample: what `faults` becomes before it
+        self._moments.pop(0, None)
         self._set_params()
         boot, world = self._state.array, self._state.array["world"]
         boot["k"], boot["tick"], world["rng"] = tick.NOT_BOOTED, self.tick, noise.seeded(seed)
@@ -164,11 +171,23 @@ class SimulatedBench:
         }
         self._sections = Sections([SOURCES[source] for source in self._observers])
 
-    def _set_params(self) -> None:
-        """Use the parameters as they are now."""
-        self._constants = _make(self.params, self.parameters, self.load_parameters)
+    def _set_constants(self) -> None:
+        """Use the bench as it is now, with the faults that are in force."""
+        hall, faults = self.params.hall, self.params.faults
+        moved = hall.replace(delta_deg=_delta_deg(hall.delta_deg, self.load_parameters))
+        p = self.params.replace(hall=moved)  # refused also where faults to come would leave a sector no room
+        if not self.load_parameters["faults"]:
+            faults = faults.without()
+        elif self.n < self._slips:
+            faults = faults.replace(encoder=faults.encoder.replace(slip_deg=0.0))
+        self._now = p.replace(faults=faults)
+        self._constants = _make(self._now, self.parameters, self.load_parameters)
         self._params.first = self._constants
         self._warm()
+
+    def _set_params(self) -> None:
+        """Use the parameters as they are now."""
+        self._set_constants()
         pwm_hz = self.params.clock.pwm_hz
         for source, observing in self._observers.items():
             observing.params = SOURCES[source].make_params(pwm_hz, self.parameters)
@@ -178,13 +197,14 @@ class SimulatedBench:
         """Use motor and current sensors as warm as they are now."""
         if not self._warming:
             return
-        p, now = self.params, self._warming.factors
+        p, now = self._now, self._warming.factors
         motor = _motor(p, now)
         plant = self._constants.plant
         plant = plant._replace(motor=motor, decay=integrator.make_decay(motor, plant.decay.h))
         drifted = self._warming.drifted(p.current_sensor.offset, p.current_sensor.gain_error)
         sensor = current_sensor.make_params(**(dict(p.current_sensor) | drifted))
-        self._constants = self._constants._replace(plant=plant, current_sensor=sensor)
+        hall = _hall(p, self._warming.magnet)
+        self._constants = self._constants._replace(plant=plant, current_sensor=sensor, hall=hall)
         self._params.first = self._constants
 
     def _observe(self, source: int) -> None:
@@ -241,6 +261,7 @@ class SimulatedBench:
             raise KeyError(f"no parameter {name!r}; there are: {', '.join(self.parameters)}")
         if name == "observer":
             self._observe(int(value))
+        self._reset |= name in HALL_RING  # what observers remember was in another frame
         self.parameters[name] = _f32(value)
         self._set_params()
 
@@ -275,15 +296,24 @@ class SimulatedBench:
         with Held():  # a handler that raises would leave some of it behind
             begin = 0
             while begin < n:
+                if self.n in self._moments:
+                    self._switch(self._moments[self.n])
                 source, upto = (self._source_before, waits) if begin < waits else (self._source, n)
                 end = min(upto, begin + PORTION)
                 if self._warming:
                     end = min(end, begin + warming.EVERY - self.n % warming.EVERY)
+                end = min([end, *(begin + at - self.n for at in self._moments if at > self.n)])
                 self._run(source, n, block, begin, end)
                 begin = end
         m = count[0]
         edges, wire = self._edges.array[:m].copy(), self._wire.array[:m].astype(EDGE_RECORD)
         return Recorded(index, first_tick, n, sections, block, edges, wire, self._load_state)
+
+    def _switch(self, faults: float | None) -> None:
+        """A moment has come at which faults begin or end, or the encoder slips (None)."""
+        if faults is not None:
+            self.load_parameters["faults"] = faults
+        self._set_constants()
 
     def _run(self, source: int, n: int, block: NDArray[np.float64], begin: int, end: int) -> None:
         """Run the periods from `begin` up to `end` of the `n` that `block` is for, then the observers over them."""
@@ -294,7 +324,7 @@ class SimulatedBench:
             for other, observing in self._observers.items()
         }
         control = self._observers.get(source)
-        bench = self._params.at, self._state.at, self._command.at, self._quantiles.at
+        bench = self._params.at, self._state.at, self._inputs.at, self._command.at, self._quantiles.at
         into = at + 8 * begin * ROW, self._samples.at, self._edges.at, self._wire.at, len(self._edges), self._count.at
         by = control.loop(found[source]) if control else (0, 0, 0, 0, 0)
         tick.advance(*bench, end - begin, reset, *into, *by)
@@ -314,7 +344,10 @@ class SimulatedBench:
     def _room(self, n: int) -> None:
         """Room for the edges of n periods, and their flags."""
         disturbed = self.load_parameters["hall_glitch"] > 0.0
-        room = (self._edges_per_period + (self._pulse_edges_per_period if disturbed else 0)) * n
+        settings = _input(self.params)
+        bounces = 1 + 2 * settings.bounce_returns if any(settings.bounce) else 1
+        room = (self._edges_per_period * bounces + (self._pulse_edges_per_period if disturbed else 0)) * n
+        room += 100 + math.ceil(2.0 * settings.busy * n / self.params.clock.pwm_hz)  # twice the mean, and some
         if room > len(self._edges):
             self._edges, self._wire = Cells(Edge, room), Cells(tick.WireEdge, room)
         if n > len(self._flags):
@@ -323,14 +356,14 @@ class SimulatedBench:
 
 def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float]) -> tick.Params:
     """The kernels' constants for a bench whose firmware has the parameters `drive`, and its load machine `load`."""
-    hall = p.hall.replace(delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
-        **p.encoder.model_dump(exclude={"present", "index_search", "latency"}),
+        **p.encoder.model_dump(exclude={"present", "index_search", "index_resets", "latency"}),
         n_p=p.motor.n_p,
         n_p_hat=drive["n_p"],
         T_s=period,
-    )._replace(latency=p.encoder.latency)
+    )._replace(latency=p.encoder.latency, resets=p.encoder.index_resets)
+    shaft_encoder = encoder.make_faulty(shaft_encoder, **p.faults.encoder.model_dump(exclude={"slip_at"}))
     motor = _motor(p)
     J = p.mechanics.J * (1.0 - p.coupling.load_share) if p.coupling.stiffness else p.mechanics.J
     return tick.Params(
@@ -342,8 +375,11 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
         ),
         dc_link.make_params(p.inverter.u_dc, **dict(p.dc_link), T_s=period),
         coupling.make_params(**dict(p.coupling), J=p.mechanics.J, **_some(dict(p.load), "tau_max", "alpha_m_max")),
-        hall_sensor.make_params(**dict(hall), n_p=p.motor.n_p),
+        _hall(p),
+        hall_input.make_params(p.clock.tick_hz, p.motor.i_max, _input(p)),
         hall_wiring.make_params(p.clock.tick_hz, **_some(load, *hall_wiring.PARAMETERS)),
+        mechanics.make_rock(**dict(p.faults.shaft), n_p=p.motor.n_p),
+        hall_map(drive["hall_swap_hat"], drive["hall_invert_hat"]),
         current_sensor.make_params(**dict(p.current_sensor)),
         sample.make_params(p.clock.tick_hz, chosen(sample.Settings, drive)),
         back_emf.make_params(p.clock.pwm_hz, *_some(drive, "R_s_hat", "L_s_hat", "tau_max").values()),
@@ -367,6 +403,23 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
         p.clock.substeps,
         period / p.clock.substeps,
     )
+
+
+def _hall(p: BenchParams, warmer: float = 0.0) -> hall_sensor.Params:
+    """The constants of the Hall sensors, with the magnet so many K above 20 degrees C."""
+    hall = hall_sensor.make_params(**dict(p.hall), n_p=p.motor.n_p)
+    faults = p.faults.hall
+    drifted = [warmer * drift for drift in faults.drift_deg]
+    return hall_sensor.make_faulty(hall, faults.hysteresis_deg, drifted, dict(p.faults.magnets))
+
+
+def _input(p: BenchParams) -> hall_input.Settings:
+    return hall_input.Settings(**p.faults.hall.model_dump(include=set(hall_input.Settings._fields)))
+
+
+def _sample(at: float, pwm_hz: int) -> int:
+    """The first sample at a moment, s since boot, or after it."""
+    return math.ceil(at * pwm_hz - 1e-6)
 
 
 def _motor(p: BenchParams, now: warming.Factors = warming.COLD) -> pmsm.Params:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, AngleSource, Status
+from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, AngleSource, Eight, Status
 from sim.drive import tick_firmware
 from sim.drive import tick_protection as protection
 from sim.drive.tick_record import edge_codes, quantised, quantised_u16
@@ -34,6 +34,7 @@ from sim.plant import (
     current_sensor,
     dc_link,
     encoder,
+    hall_input,
     hall_sensor,
     hall_wiring,
     integrator,
@@ -58,7 +59,10 @@ class Params(NamedTuple):
     link: dc_link.Params
     coupling: coupling.Params
     hall: hall_sensor.Params
+    input: hall_input.Params
     wiring: hall_wiring.Params
+    rock: mechanics.Rock
+    hall_map: Eight  # Hall code that the firmware takes its inputs for
     current_sensor: current_sensor.Params
     front: sample.Params
     back_emf: back_emf.Params
@@ -89,6 +93,7 @@ class World(NamedTuple):
     beyond: coupling.State  # the load's side of the shaft
     alpha_m: float  # acceleration that the load machine forces, rad/s2
     hall: hall_sensor.State
+    due: int  # tick of the next thing that happens to an input, but for the sensors' edges and the wires' pulses
     wiring: hall_wiring.State
 
 
@@ -108,7 +113,7 @@ class State(NamedTuple):
 class Sensed(NamedTuple):
     """What the sensors say at a sample, currents as telemetry carries them."""
 
-    counter: int  # encoder
+    absolute: int  # encoder's count
     i_a: float
     i_b: float
     i_c: float
@@ -181,10 +186,20 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
     wiring = hall_wiring.init(params.wiring, hall_sensor.code(hall.number))
     plant = integrator.init(params.plant, theta_e)
     link = dc_link.init(params.link)
-    world = World(rng, plant, Electric(0.0, 0.0, 0.0), link, coupling.init(), 0.0, hall, wiring)
+    world = World(rng, plant, Electric(0.0, 0.0, 0.0), link, coupling.init(), 0.0, hall, NEVER, wiring)
     count = encoder.count(params.encoder, theta_e, 0.0)
-    tracker, index = encoder.init(count), encoder.booted(count, params.index_search)
+    index = encoder.booted(params.encoder, count, params.index_search)
+    tracker = encoder.init(encoder.counted(params.encoder, index, count))
     return State(0, state.tick, world, sample.init(), back_emf.init(), tracker, index, tick_firmware.init())
+
+
+@kernel
+def _pins(params: Params, hall: hall_sensor.State, inputs: Pointer[hall_input.State], wiring: hall_wiring.State) -> int:
+    """The code that the firmware's inputs read."""
+    if params.input.on == 0:
+        return hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), 0, wiring.pulse)
+    seen = inputs[0]
+    return hall_wiring.pins(params.wiring, seen.code, seen.open, wiring.pulse ^ seen.pulse)
 
 
 @kernel
@@ -199,16 +214,18 @@ def _captured(
     log: EdgeLog,
     m: int,
 ) -> tuple[hall_wiring.State, int]:
-    """Capture an edge at `tick`, at this angle and speed, if the code `new` is another one than before."""
-    old = wiring.pins
-    if new == old:
+    """Capture an edge at `tick`, at this angle and speed, if the inputs read `new` and not what they did before."""
+    if new == wiring.pins:
         return wiring, m
-    log.edges[m] = Edge(tick, new)
+    old = params.hall_map[wiring.pins]
+    code = params.hall_map[new]
+    log.edges[m] = Edge(tick, code)
     count = 0
     if params.has_encoder == 1:
-        count = encoder.shown(params.encoder, index, encoder.count(params.encoder, theta, omega))
+        count = encoder.counted(params.encoder, index, encoder.count(params.encoder, theta, omega))
+        count = encoder.shown(params.encoder, index, count)
     log.wire[m] = WireEdge(
-        np.uint32(tick & 0xFFFFFFFF), np.uint8(edge_codes(old, new)), np.uint8(0), np.uint16(count & 0xFFFF)
+        np.uint32(tick & 0xFFFFFFFF), np.uint8(edge_codes(old, code)), np.uint8(0), np.uint16(count & 0xFFFF)
     )
     return wiring._replace(pins=new), m + 1
 
@@ -224,14 +241,15 @@ def _edges(
     offset: float,
     log: EdgeLog,
     m: int,
+    inputs: Pointer[hall_input.State],
     quantiles: Pointer[float],
 ) -> tuple[World, int]:
-    """Capture the edges between two plant states, those of the sensors and those of false pulses, in order.
+    """Capture the edges between two plant states, those of the sensors and those that come otherwise, in order.
 
     `tick`: of the sample at the period's end; `offset`: ticks from there back to `before`; `m`: edges so far, of
     at most `room`.
     """
-    rng, hall, wiring = world.rng, world.hall, world.wiring
+    rng, hall, happens, wiring = world.rng, world.hall, world.due, world.wiring
     omega_0 = params.plant.motor.n_p * before.omega_m
     omega_1 = params.plant.motor.n_p * after.omega_m
     theta_0 = hall_sensor.seen(params.hall, before.theta_e, omega_0)
@@ -252,13 +270,17 @@ def _edges(
             x = hall_sensor.time_of(theta_0, omega_0, theta_1, omega_1, params.h, theta)
             late = math.floor(x * step_ticks - offset) + 1
         captured = tick + min(late, 0)
-        if wiring.due <= captured:  # a false pulse begins or ends before
-            x = (wiring.due - tick + offset) / step_ticks
+        due = min(wiring.due, happens)
+        if due <= captured:  # a false pulse begins or ends before, or something else happens to an input
+            x = (due - tick + offset) / step_ticks
             theta = before.theta_e + x * (after.theta_e - before.theta_e)
-            rng = noise.advance(rng)
-            due = wiring.due
-            wiring = hall_wiring.toggled(params.wiring, wiring, rng)
-            pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
+            if due == wiring.due:
+                rng = noise.advance(rng)
+                wiring = hall_wiring.toggled(params.wiring, wiring, rng)
+            else:
+                inputs[0] = hall_input.happened(params.input, inputs[0])
+                happens = hall_input.next_due(inputs[0])
+            pins = _pins(params, hall, inputs, wiring)
             omega = omega_0 + x * (omega_1 - omega_0)
             wiring, m = _captured(params, wiring, index, pins, due, theta, omega, log, m)
         elif way != 0:
@@ -266,11 +288,15 @@ def _edges(
             hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
             omega = omega_0 + x * (omega_1 - omega_0)
             theta += params.hall.latency * omega
-            pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
+            if params.input.on == 1:
+                code = hall_sensor.code(hall.number)
+                inputs[0] = hall_input.sensed(params.input, inputs[0], code, captured)
+                happens = hall_input.next_due(inputs[0])
+            pins = _pins(params, hall, inputs, wiring)
             wiring, m = _captured(params, wiring, index, pins, captured, theta, omega, log, m)
         else:
             break
-    return world._replace(rng=rng, hall=hall, wiring=wiring), m
+    return world._replace(rng=rng, hall=hall, due=happens, wiring=wiring), m
 
 
 @kernel
@@ -282,6 +308,7 @@ def _move(
     load: mechanics.Load,
     log: EdgeLog,
     m: int,
+    inputs: Pointer[hall_input.State],
     quantiles: Pointer[float],
 ) -> tuple[World, int]:
     """The world after one period, with its edges; the sensors' random numbers are drawn at its end."""
@@ -294,23 +321,35 @@ def _move(
     else:
         applied = inverter.off()
     alpha = 0.0
+    begin = state.tick - params.period_ticks
     if params.wiring.gap > 0.0 or world.wiring.due != NEVER:
         rng = noise.advance(world.rng)
-        wiring = hall_wiring.next_pulse(params.wiring, world.wiring, state.tick - params.period_ticks, rng)
-        world = world._replace(rng=rng, wiring=wiring)
+        world = world._replace(rng=rng, wiring=hall_wiring.next_pulse(params.wiring, world.wiring, begin, rng))
+    if params.input.on == 1:
+        size = math.hypot(first.i_alpha, first.i_beta)
+        duties = (out.d_a, out.d_b, out.d_c)
+        inputs[0] = hall_input.begun(params.input, inputs[0], begin, params.period_ticks, size, out.on, duties)
+        world = world._replace(due=hall_input.next_due(inputs[0]))
+    rocks = mechanics.rocks(params.rock, load, out.on, plant.omega_m)
     if state.k % REFRESH == 0:
         plant = integrator.refresh(plant)
     step_ticks = params.period_ticks / params.substeps
     for j in range(params.substeps):
         before = plant
-        if params.coupling.stiffness > 0.0:
+        if rocks:
+            load = mechanics.rocked(params.rock, params.h * ((state.k - 1) * params.substeps + j + 1))
+            beyond = beyond._replace(omega=load.omega_m, tau=0.0)
+        if params.coupling.stiffness > 0.0 and not rocks:
             plant, beyond = coupling.step(constants, params.coupling, before, beyond, applied, load, params.h)
         else:
             plant, alpha = integrator.step(constants, before, applied, load, params.h)
         theta = hall_sensor.seen(params.hall, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
-        if theta >= world.hall.above or theta < world.hall.below or world.wiring.due <= state.tick:
+        due = min(world.wiring.due, world.due)
+        if theta >= world.hall.above or theta < world.hall.below or due <= state.tick:
             offset = (params.substeps - j) * step_ticks
-            world, m = _edges(params, world, state.counter, before, plant, state.tick, offset, log, m, quantiles)
+            world, m = _edges(
+                params, world, state.counter, before, plant, state.tick, offset, log, m, inputs, quantiles
+            )
     last = _electric(constants.motor, plant)
     if params.link.R_source > 0.0:
         i_alpha = 0.5 * (first.i_alpha + last.i_alpha)
@@ -349,9 +388,9 @@ def _sense(params: Params, world: World, on: int, quantiles: Pointer[float]) -> 
 
 
 @kernel
-def _implausible(after: hall_speed.State, before: hall_speed.State, pins: int) -> int:
+def _implausible(after: hall_speed.State, before: hall_speed.State, code: int) -> int:
     """Implausible edges between two samples, by the front end's counts of illegal codes and skipped sectors."""
-    sampled = 1 if pins == 0 or pins == 7 else 0
+    sampled = 1 if code == 0 or code == 7 else 0
     return after.illegal - before.illegal - sampled + after.skipped - before.skipped
 
 
@@ -359,6 +398,7 @@ def _implausible(after: hall_speed.State, before: hall_speed.State, pins: int) -
 def advance(
     params_: Pointer[Params],
     state_: Pointer[State],
+    inputs: Pointer[hall_input.State],
     command_: Pointer[Command],
     quantiles: Pointer[float],
     n: int,
@@ -402,18 +442,22 @@ def advance(
         if k > 0:
             if j == 0 or k == 1:  # a code that changes with the wires is an edge as the period begins
                 plant, wiring = world.plant, world.wiring
-                pins = hall_wiring.pins(params.wiring, hall_sensor.code(world.hall.number), wiring.pulse)
+                code = hall_sensor.code(world.hall.number)
+                inputs[0] = hall_input.switched(params.input, inputs[0], code, world.rng)
+                if params.input.on == 0:
+                    world = world._replace(due=NEVER)
+                pins = _pins(params, world.hall, inputs, wiring)
                 begin = state.tick - params.period_ticks + 1
                 omega = motor.n_p * plant.omega_m
                 wiring, m = _captured(params, wiring, state.counter, pins, begin, plant.theta_e, omega, log, m)
                 world = world._replace(wiring=wiring)
-            world, m = _move(params, state, world, firmware.driving.now, command.load, log, m, quantiles)
+            world, m = _move(params, state, world, firmware.driving.now, command.load, log, m, inputs, quantiles)
             if params.link.R_source > 0.0:
                 u_dc = quantised_u16(world.link.u)
         else:
             world = world._replace(rng=noise.advance(world.rng))
 
-        plant, electric, pins = world.plant, world.electric, world.wiring.pins
+        plant, electric, code = world.plant, world.electric, params.hall_map[world.wiring.pins]
         sensed = _sense(params, world, firmware.driving.now.on, quantiles)
         driving = firmware.driving
         front = state.front
@@ -424,7 +468,7 @@ def advance(
         hall_before = front.hall
         measured = Measured(
             state.tick,
-            pins,
+            code,
             driving.now.u_alpha,
             driving.now.u_beta,
             sensed.i_a,
@@ -435,9 +479,10 @@ def advance(
         front, seen = sample.step(params.front, front, measured, edges, first, m)
         samples[j] = seen
         emf, e_alpha, e_beta = back_emf.step(params.back_emf, emf, seen)
-        tracker, omega_enc = encoder.track(params.encoder, state.encoder, sensed.counter)
-        index = encoder.sought(params.encoder, state.counter, sensed.counter)
-        theta_enc = encoder.angle(params.encoder, encoder.shown(params.encoder, index, sensed.counter))
+        index = encoder.sought(params.encoder, state.counter, sensed.absolute, world.rng)
+        counter = encoder.counted(params.encoder, index, sensed.absolute)
+        tracker, omega_enc = encoder.track(params.encoder, state.encoder, counter)
+        theta_enc = encoder.angle(params.encoder, encoder.shown(params.encoder, index, counter))
         angle = tick_firmware.Angle(command.source, theta_enc, omega_enc)
         if observer != 0:
             invoke(observer, observer_params, observer_state, samples, reset, found, found_size, j)
@@ -449,8 +494,8 @@ def advance(
             max(abs(sensed.i_a), abs(sensed.i_b), abs(sensed.i_c)),
             omega_enc if params.has_encoder == 1 else seen.hall.omega,
             u_dc,
-            pins,
-            _implausible(front.hall, hall_before, pins),
+            code,
+            _implausible(front.hall, hall_before, code),
             front.hall.now.direction,
             e_alpha,
             e_beta,
@@ -465,7 +510,7 @@ def advance(
         if params.coupling.stiffness == 0.0:
             tau = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, electric.tau, world.alpha_m)
         rows[j] = Row(
-            pins,
+            code,
             status,
             theta_enc,
             omega_enc,

@@ -10,7 +10,8 @@ While no speed is known: the centre of the sector (at most 30 deg wrong) as long
 after the first edge its angle, then the middle between the edge and the furthest that the rotor can have
 come at its largest speed, which is the centre of the sector again within a millisecond.
 
-Never looks at a current, and knows nothing of the sensors' misplacement: boundaries are taken at k * 60 deg.
+Never looks at a current, and knows nothing of the sensors' misplacement: boundaries are taken at k * 60 deg from
+where the ring sits, `hall_offset`.
 
 Source: (1)-(2) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
 """
@@ -36,6 +37,7 @@ class Settings:
     n_p: float
     omega_m_max: float  # mechanical rad/s
     hall_timeout: float  # s
+    hall_offset: float = 0.0  # electrical rad, ideal angle of the edge that opens sector 0
 
 
 class Params(NamedTuple):
@@ -43,18 +45,20 @@ class Params(NamedTuple):
 
     hall: hall_speed.Params
     omega_max: float  # largest electrical speed, rad/s
+    hall_offset: float  # electrical rad
 
 
 def make_params(tick_hz: float, drive: Settings) -> Params:
     """Constants for a counter of `tick_hz` Hz."""
     omega_max = float(drive.n_p) * float(drive.omega_m_max)
-    return Params(hall_speed.make_params(tick_hz, drive.hall_timeout, FASTEST * omega_max), omega_max)
+    front = hall_speed.make_params(tick_hz, drive.hall_timeout, FASTEST * omega_max)
+    return Params(front, omega_max, float(drive.hall_offset))
 
 
 @kernel
-def centre(sector: int) -> float:
-    """Angle of a sector's middle, electrical rad, in [0, 2 pi)."""
-    return sector * SECTOR_WIDTH + HALF_SECTOR
+def centre(sector: int, hall_offset: float) -> float:
+    """Angle of a sector's middle, electrical rad, not wrapped; sector 0 opens at `hall_offset`."""
+    return sector * SECTOR_WIDTH + HALF_SECTOR + hall_offset
 
 
 @kernel
@@ -64,9 +68,9 @@ def position(params: Params, hall: hall_speed.Estimate) -> float:
         return 0.0
     if hall.anchored == 0:
         travel = hall.omega * hall.age
-        return wrap(centre(hall.sector) + min(max(travel, -HALF_SECTOR), HALF_SECTOR))
+        return wrap(centre(hall.sector, params.hall_offset) + min(max(travel, -HALF_SECTOR), HALF_SECTOR))
     if hall.omega == 0.0:
         travel = min(0.5 * params.omega_max * hall.age, HALF_SECTOR)
     else:
         travel = min(abs(hall.omega) * hall.age, SECTOR_WIDTH)
-    return wrap(centre(hall.sector) + hall.direction * (travel - HALF_SECTOR))
+    return wrap(centre(hall.sector, params.hall_offset) + hall.direction * (travel - HALF_SECTOR))

@@ -34,8 +34,9 @@ number of samples over which the error stays the same.
 - `edge_lessons` learns once per electrical revolution. This module learns the angle of each edge within a shaft
   revolution, above omega_b / 2, where a single edge has little weight beside the back-EMF.
 
-It uses the raw levels of the sensors (`hall_levels`), and so works with two sensors or one. It never uses the front
-end's sector or speed, an encoder, or a torque of the shaft. docs/edge-kalman.md has equations, results and limits.
+It uses the raw levels of the sensors (`hall_levels`), and so works with two sensors or one. Its angles begin at the
+ideal edge of sector 0, `hall_offset`, until they meet the stator's frame. It never uses the front end's sector or
+speed, an encoder, or a torque of the shaft. docs/edge-kalman.md has equations, results and limits.
 
 Source: (3), (5) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367, for the back-EMF; R. E. Kalman, "A New Approach to
 Linear Filtering and Prediction Problems", J. Basic Eng., vol. 82, 1960.
@@ -337,7 +338,7 @@ def init() -> State:
 def _primed(params: Params, state: State, sample: Sample) -> State:
     """The state at the first sample: at rest in the middle of the sector that the levels show."""
     scale = params.scale
-    theta = wrap(centre(max(SECTOR_OF_CODE[sample.code], 0)))
+    theta = wrap(centre(max(SECTOR_OF_CODE[sample.code], 0), 0.0))
     P = covariance.diagonal(
         ANGLE_START**2,
         (OMEGA_START * scale.omega_v) ** 2,
@@ -843,7 +844,7 @@ def _corrected(params: Params, state: State, sample: Sample, driven: bool) -> St
     theta = kalman.x[0] + T_s * kalman.x[1] + 0.5 * T_s * T_s * kalman.x[2]
     omega = kalman.x[1] + T_s * kalman.x[2]
     size = abs(omega)
-    emf = _emf(scale, state, sample, theta, omega)
+    emf = _emf(scale, state, sample, theta + sample.hall_offset, omega)
     i_q = watch.i_q + params.a_tau * (emf.i_q - watch.i_q)
     x = (theta, omega, kalman.x[2] + FEED * scale.feed * (i_q - watch.i_q), kalman.x[3], kalman.x[4])
     sign = clip(i_q / scale.i_fade, 1.0)
@@ -925,7 +926,8 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     """One control period."""
     if state.primed == 0:
         state = _primed(params, state, sample)
-        return state, Estimate(state.filter.x[0], 0.0, 0, 0, ANGLE_START, 0, state.lesson[0], state.lesson[1])
+        theta = wrap(state.filter.x[0] + sample.hall_offset)
+        return state, Estimate(theta, 0.0, 0, 0, ANGLE_START, 0, state.lesson[0], state.lesson[1])
     scale = params.scale
     T_s = scale.T_s
     standing = state.filter.x[0]
@@ -953,6 +955,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     state = state._replace(omega_lpf=omega_lpf, filter=kalman, told=told, lesson=lesson)
     unused = levels.unused - (1 if levels.pending != 0 else 0)
     sigma = math.sqrt(max(kalman.P[0], 0.0))
+    theta = wrap(theta + sample.hall_offset)
     return state, Estimate(theta, omega_lpf, belief.sensors, unused, sigma, number, lesson[0], lesson[1])
 
 

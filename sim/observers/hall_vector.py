@@ -124,7 +124,7 @@ def init() -> State:
 
 @kernel
 def _harmonics(theta: float) -> float:
-    """What the harmonics -5, 7, -11 and 13 add to the cross product at the angle `theta` with ideal sensors."""
+    """What the harmonics -5, 7, -11 and 13 add to the cross product at `theta`, rad from the ideal edge of sector 0."""
     sixfold = 6.0 * theta
     return math.sin(sixfold) * (SIXTH + 2.0 * TWELFTH * math.cos(sixfold))
 
@@ -144,10 +144,10 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     if on == 1 and state.on == 1:
         a = state.a_torque + a_load
         predicted = state.theta + params.T_s * (state.omega + 0.5 * params.T_s * a)
-        middle = centre(sample.hall.sector)
+        middle = centre(sample.hall.sector, sample.hall_offset)
         cross = TO_UNIT * math.sin(middle - predicted)
         if abs(omega_h) >= params.omega_decouple:
-            cross -= _harmonics(predicted)
+            cross -= _harmonics(predicted - sample.hall_offset)
         ahead = wrap(predicted + params.k_theta * cross - middle)
         beyond = 1 if abs(ahead) > GUARD else 0
         if beyond == 1 and state.beyond == 1:

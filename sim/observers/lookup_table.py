@@ -1,9 +1,9 @@
 """Position by the average speed with a table of the boundaries where they really are, found at commissioning.
 
-As `average_speed`, but the boundary that opens sector s lies at s * 60 deg less the table's entry, one for each way of
-passing it: a sensor's hysteresis is then in the table too. The speed is the true width of the passed sector by the time
-that its passing took, and the estimate stays inside the true sector. With the right table and a constant speed only the
-jitter of the edges is left.
+As `average_speed`, but the boundary that opens sector s lies at s * 60 deg less the table's entry, from where the ring
+sits: one entry for each way of passing it, and a sensor's hysteresis is then in the table too. The speed is the true
+width of the passed sector by the time that its passing took, and the estimate stays inside the true sector. With the
+right table and a constant speed only the jitter of the edges is left.
 
 What the source leaves open, and how it is settled here:
 - omega_h of (1) is (pi/3) / (time between the last two edges): times width / (pi/3) it is the speed. It is scaled at
@@ -49,7 +49,7 @@ class Params(NamedTuple):
 
     T_s: float
     omega_max: float  # largest electrical speed, rad/s
-    up: Six  # boundary that opens the sector, passed upwards, rad
+    up: Six  # boundary that opens the sector, passed upwards, rad from the ring's own zero
     down: Six  # the same boundary, passed downwards
 
 
@@ -145,4 +145,4 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         theta = middle + direction * (travel - 0.5 * width)
     else:
         theta = middle + direction * (abs(omega) * hall.age - 0.5 * width)
-    return State(direction, hall.anchored, omega, omega_before), Estimate(wrap(theta), omega)
+    return State(direction, hall.anchored, omega, omega_before), Estimate(wrap(theta + sample.hall_offset), omega)

@@ -169,7 +169,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         y3_alpha = b * state.y3_alpha + c * y2_alpha
         y3_beta = b * state.y3_beta + c * y2_beta
         theta = wrap(math.atan2(y3_beta, y3_alpha))
-        doubted = 1 if reversed_ or abs(wrap(theta - centre(hall.sector))) > GUARD else 0
+        doubted = 1 if reversed_ or abs(wrap(theta - centre(hall.sector, sample.hall_offset))) > GUARD else 0
         if doubted == 0 or state.doubted == 0:
             psi = gain * math.sqrt(y3_alpha * y3_alpha + y3_beta * y3_beta)
             state = State(1, doubted, i_alpha, i_beta, omega, y1_alpha, y1_beta, y2_alpha, y2_beta, y3_alpha, y3_beta)

@@ -25,7 +25,7 @@ class Measured(NamedTuple):
     """What a drive measures at a sample, and what it did over the period that ends there."""
 
     tick: int
-    hall: int  # code, 0..7
+    hall: int  # code, 0..7, as SPEC 12 has it
     u_alpha: float  # V, in force over the period
     u_beta: float
     i_a: float  # A, at the sample
@@ -47,6 +47,7 @@ class Sample(NamedTuple):
     i_alpha: float  # A
     i_beta: float
     i_q_err: float  # A, as measured
+    hall_offset: float  # electrical rad, ideal angle of the edge that opens sector 0
 
 
 class State(NamedTuple):
@@ -93,6 +94,7 @@ def step(
         i_alpha,
         i_beta,
         measured.i_q_err,
+        params.hall_offset,
     )
 
 

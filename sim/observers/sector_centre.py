@@ -53,5 +53,5 @@ def init() -> State:
 def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]:
     """One control period."""
     hall = sample.hall
-    theta = 0.0 if hall.sector < 0 else wrap(centre(hall.sector))
+    theta = 0.0 if hall.sector < 0 else wrap(centre(hall.sector, sample.hall_offset))
     return state, Estimate(theta, hall.omega)

@@ -227,7 +227,7 @@ def step(
         omega_corr_i = state.omega_corr_i + params.k_i_T * error
         omega += params.k_p * error + omega_corr_i
         theta = wrap(theta + params.T_s * omega)
-        if params.literal_sgn == 0 and abs(wrap(theta - centre(hall.sector))) > GUARD:
+        if params.literal_sgn == 0 and abs(wrap(theta - centre(hall.sector, sample.hall_offset))) > GUARD:
             on = 0
             omega = omega_h
             omega_corr_i = 0.0
@@ -238,7 +238,7 @@ def step(
         if hall.edge == 1 and driven and speed >= params.omega_on:
             on = 1  # at work from the next sample on
     else:
-        middle = centre(hall.sector)
+        middle = centre(hall.sector, sample.hall_offset)
         theta = wrap(middle + clip(wrap(theta + params.T_s * omega_h - middle), HALF_SECTOR))
 
     omega_lpf = state.omega_lpf + params.a_omega * (omega - state.omega_lpf)

@@ -65,6 +65,7 @@ class Settings:
     omega_off: float
     bw_omega_lpf: float  # Hz
     i_range: float  # A, full scale of the current sensors
+    hall_offset: float = 0.0  # electrical rad, ideal angle of the edge that opens sector 0
 
 
 class Constants(NamedTuple):
@@ -81,6 +82,7 @@ class Constants(NamedTuple):
     e_min: int  # back-EMF at omega_on, 2^30 is base_u
     e_turn: int  # back-EMF at half of omega_off
     a_omega: int  # Q15, gain of the filter on the estimated speed
+    hall_offset: int  # 32 bits, where sector 0 opens
 
 
 class Params(NamedTuple):
@@ -170,6 +172,7 @@ def make_params(pwm_hz: float, drive: Settings, base_u: float = BASE, base_i: fl
             e_min=max(_integer(float(drive.psi_f_hat) * float(drive.omega_on), volt, (1 << 30) - 1), 4),
             e_turn=_integer(0.5 * float(drive.psi_f_hat) * float(drive.omega_off), volt, (1 << 30) - 1),
             a_omega=_gain(1.0 - math.exp(-2.0 * math.pi * float(drive.bw_omega_lpf) * T_s)),
+            hall_offset=round(float(drive.hall_offset) * TURN / TWO_PI) & MASK,
         ),
         u_scale=ONE / float(base_u),
         i_scale=ONE / float(base_i),
@@ -179,7 +182,10 @@ def make_params(pwm_hz: float, drive: Settings, base_u: float = BASE, base_i: fl
 
 def c_source(params: Params, name: str) -> str:
     """The constants as a C definition: `static const hbq_params_t NAME = {...};`."""
-    fields = "".join(f"    .{field} = {value},\n" for field, value in params.q._asdict().items())
+    fields = "".join(
+        f"    .{field} = {value}{'u' if field == 'hall_offset' else ''},\n"
+        for field, value in params.q._asdict().items()
+    )
     return f"static const hbq_params_t {name} = {{\n{fields}}};\n"
 
 
@@ -309,7 +315,7 @@ def advance(c: Constants, state: State, x: Counts) -> State:
     theta = state.theta
     omega = turn_h
     corr_i = 0
-    middle = ((2 * x.sector + 1) * TWELFTH) & MASK
+    middle = ((2 * x.sector + 1) * TWELFTH + c.hall_offset) & MASK
     if on == 1:
         shift = _shift(abs(e_alpha) | abs(e_beta) | c.e_min)
         f_alpha, f_beta = _undo_filter(a, turn_h, e_alpha >> shift, e_beta >> shift)

@@ -6,6 +6,10 @@ wherever the rotor is, and is an absolute angle from the first index pulse on. A
 sine with a period a turn, and marks that are not evenly read one with a period a line, which makes counts of unequal
 width. One that is late (a filter, a serial interface) shows the angle that was `latency` ago, at the speed of now.
 
+What may be wrong: the disc has slipped on the shaft, its index with it; counts are lost, or counted twice, at random
+places, either way; the firmware takes the disc to have another number of lines; channels are exchanged, so that it
+counts the wrong way. Where the index pulse sets the counter to zero each turn, what was lost is put right there.
+
 Never interpolates between counts.
 """
 
@@ -14,15 +18,20 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from sim.numba_cache import kernel
+from sim.plant import noise
 
 TWO_PI = 2.0 * math.pi
+SALT = np.uint64(0xD1B54A32D192ED03)
 
 
 class Params(NamedTuple):
     """The encoder's constants, and those of the filter on it."""
 
     counts: int  # a turn
+    counts_hat: int  # the same, as the firmware takes it
     counts_per_rad: float  # counts an electrical radian
     offset: float  # electrical rad
     rad_per_count: float  # electrical, as the firmware takes it
@@ -32,13 +41,17 @@ class Params(NamedTuple):
     eccentric: float  # counts, amplitude with a period a turn
     within: float  # counts, amplitude with a period of four counts
     latency: float  # s, short beside what the speed takes to change
+    lost: float  # share of counts that are lost; below zero: counted twice
+    resets: int  # 1: each index pulse sets the counter to zero
 
 
 class Index(NamedTuple):
-    """What the firmware's counter lacks of the absolute count: something until the index pulse has come by."""
+    """What the firmware's counter lacks of the absolute count."""
 
-    lacks: int  # counts
+    lacks: int  # counts, until the index pulse has come by
+    missed: int  # counts that were lost
     last: int  # absolute count at the last sample
+    found: int  # 1: the index pulse sets nothing right any more
 
 
 class State(NamedTuple):
@@ -70,6 +83,7 @@ def make_params(
     pole = math.exp(-TWO_PI * bw_speed * T_s)
     return Params(
         counts,
+        counts,
         counts / (TWO_PI * n_p),
         math.radians(offset_deg),
         TWO_PI * n_p_hat / counts,
@@ -79,6 +93,20 @@ def make_params(
         eccentricity_deg / 360.0 * counts,
         float(unevenness),
         0.0,
+        0.0,
+        0,
+    )
+
+
+def make_faulty(params: Params, slip_deg: float, lost_per_rev: float, pulses_hat: int, reversed: int) -> Params:
+    """The constants with these faults: electrical degrees, counts a turn, lines (0: as many as there are), 0 or 1."""
+    counts_hat = 4 * pulses_hat or params.counts
+    return params._replace(
+        counts_hat=counts_hat,
+        counts_per_rad=-params.counts_per_rad if reversed else params.counts_per_rad,
+        offset=params.offset + math.radians(slip_deg),
+        rad_per_count=params.rad_per_count * (params.counts / counts_hat),
+        lost=lost_per_rev / params.counts,
     )
 
 
@@ -95,33 +123,53 @@ def _sine(turns: float) -> float:
 
 @kernel
 def count(params: Params, theta_e: float, omega_e: float) -> int:
-    """The counter, 0..counts-1, at an unwrapped electrical angle (rad) and a speed (rad/s)."""
+    """The absolute count, not wrapped, at an unwrapped electrical angle (rad) and a speed (rad/s)."""
     counts = (theta_e - params.latency * omega_e + params.offset) * params.counts_per_rad
     if params.eccentric != 0.0 or params.within != 0.0:
         counts += params.eccentric * _sine(counts / params.counts)
         counts += params.within * _sine(0.25 * counts)
-    return math.floor(counts) % params.counts
+    return math.floor(counts)
 
 
 @kernel
-def booted(counter: int, search: int) -> Index:
+def booted(params: Params, absolute: int, search: int) -> Index:
     """At boot, at an absolute count; with `search` 1 the counter begins at zero."""
-    return Index(counter if search == 1 else 0, counter)
+    return Index(absolute if search == 1 else 0, 0, absolute, 0 if search == 1 or params.resets == 1 else 1)
 
 
 @kernel
-def sought(params: Params, index: Index, counter: int) -> Index:
-    """At the next sample, at an absolute count: the index pulse lies between its largest and zero."""
-    passed = abs(counter - index.last) > params.counts // 2
-    return Index(0 if passed else index.lacks, counter)
+def sought(params: Params, index: Index, absolute: int, rng: np.uint64) -> Index:
+    """At the next sample, at an absolute count: counts may be lost, and the index pulse lies at whole turns.
+
+    `rng`: the current sensors draw from it, too.
+    """
+    missed = index.missed
+    if params.lost != 0.0:
+        way = absolute - index.last
+        lost = math.floor(abs(way * params.lost) + noise.uniform(noise.advance(rng ^ SALT)))
+        missed += lost if way * params.lost > 0.0 else -lost
+    lacks, found = index.lacks, index.found
+    if found == 0:
+        turn = absolute // params.counts
+        before = index.last // params.counts
+        if turn != before:
+            lacks = max(turn, before) * params.counts - missed
+            found = 1 - params.resets
+    return Index(lacks, missed, absolute, found)
+
+
+@kernel
+def counted(params: Params, index: Index, absolute: int) -> int:
+    """What the firmware has counted at an absolute count, within a turn, if it were not for the index."""
+    return (absolute - index.missed) % params.counts_hat
 
 
 @kernel
 def shown(params: Params, index: Index, counter: int) -> int:
-    """The firmware's counter at an absolute count."""
+    """The firmware's counter where that is what it has counted."""
     if index.lacks == 0:
         return counter
-    return (counter - index.lacks) % params.counts
+    return (counter - index.lacks) % params.counts_hat
 
 
 @kernel
@@ -140,15 +188,15 @@ def init(counter: int) -> State:
 def track(params: Params, state: State, counter: int) -> tuple[State, float]:
     """One sample of the filter: the next state and the electrical speed (rad/s)."""
     error = counter - state.position
-    half = 0.5 * params.counts
+    half = 0.5 * params.counts_hat
     if error > half:
-        error -= params.counts
+        error -= params.counts_hat
     elif error < -half:
-        error += params.counts
+        error += params.counts_hat
     speed = state.speed + params.a_speed * error
     position = state.position + params.a_position * error + params.T_s * speed
-    if position >= params.counts:
-        position -= params.counts
+    if position >= params.counts_hat:
+        position -= params.counts_hat
     elif position < 0.0:
-        position += params.counts
+        position += params.counts_hat
     return State(position, speed), speed * params.rad_per_count

@@ -58,8 +58,8 @@ def make_params(
 
 
 @kernel
-def pins(params: Params, code: int, pulse: int) -> int:
-    """The code at the inputs where the sensors say `code`."""
+def pins(params: Params, code: int, opened: int, pulse: int) -> int:
+    """The code at the inputs where the sensors say `code`; `opened`: inputs that are broken besides, a bit each."""
     if params.swap == A_B:
         code = (code & 1) << 1 | (code & 2) >> 1 | code & 4
     elif params.swap == B_C:
@@ -70,13 +70,13 @@ def pins(params: Params, code: int, pulse: int) -> int:
         code = (code & 3) << 1 | (code & 4) >> 2
     elif params.swap == A_ON_C:
         code = (code & 1) << 2 | (code & 6) >> 1
-    return ((code ^ params.invert | params.open) & ~params.short) ^ pulse
+    return ((code ^ params.invert | params.open | opened) & ~params.short) ^ pulse
 
 
 @kernel
 def init(params: Params, code: int) -> State:
     """The state at boot."""
-    return State(pins(params, code, 0), 0, NEVER)
+    return State(pins(params, code, 0, 0), 0, NEVER)
 
 
 @kernel

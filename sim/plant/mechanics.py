@@ -12,16 +12,20 @@ The load machine
   nothing to a motion the other way, so that a drive that gives up is not driven backwards by its load;
 - forces the speed (SPEED): a stiff servo, exactly on its ramp whatever the drive does;
 - is beyond a coupling (COUPLED): see `coupling`.
+
+A hand, or a machine that trembles, may rock the shaft at rest by a sine of its angle (ROCKED).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from sim.numba_cache import kernel
 
 OFF, SPEED, TORQUE = 0, 1, 3  # the load machine's modes, SPEED and TORQUE as on the wire
 COUPLED = 16  # it is beyond a coupling: what acts on this shaft is the coupling's torque, either way
+ROCKED = 17  # the speed is what `omega_m` says, at once
 
 
 class Params(NamedTuple):
@@ -41,6 +45,13 @@ class Load(NamedTuple):
     omega_m: float  # rad/s, SPEED: where the ramp ends
 
 
+class Rock(NamedTuple):
+    """How the shaft is rocked."""
+
+    speed: float  # rad/s, amplitude; 0: it is not
+    omega: float  # rad/s
+
+
 class Push(NamedTuple):
     """What acts on the shaft over one integration step: omega_m' = gain (tau_e - b omega_m - tau_dry) + alpha."""
 
@@ -52,6 +63,24 @@ class Push(NamedTuple):
 def make_params(J: float, b: float, tau_coulomb: float, alpha_m_max: float) -> Params:
     """The shaft's constants from kg m2, N m s/rad, N m and rad/s2."""
     return Params(float(J), float(b), float(tau_coulomb), float(alpha_m_max))
+
+
+def make_rock(rock_deg: float, rock_hz: float, n_p: int) -> Rock:
+    """From the amplitude in electrical degrees and Hz."""
+    omega = math.tau * rock_hz
+    return Rock(math.radians(rock_deg) * omega / n_p, omega)
+
+
+@kernel
+def rocks(rock: Rock, load: Load, on: int, omega_m: float) -> bool:
+    """Whether the shaft is rocked now: nothing drives it, and it is no faster than that makes it."""
+    return rock.speed > 0.0 and on == 0 and load.mode == OFF and abs(omega_m) <= 1.01 * rock.speed
+
+
+@kernel
+def rocked(rock: Rock, time: float) -> Load:
+    """What rocks it up to a moment, s since boot."""
+    return Load(ROCKED, 0.0, rock.speed * math.cos(rock.omega * time))
 
 
 @kernel
@@ -70,9 +99,9 @@ def brakes(params: Params, load: Load) -> tuple[float, float]:
 @kernel
 def push(params: Params, load: Load, omega_m: float, tau_e: float, h: float) -> Push:
     """What acts on the shaft over the next `h` seconds, from its speed and the motor's torque at the start."""
-    if load.mode == SPEED:
+    if load.mode == SPEED or load.mode == ROCKED:
         alpha = (load.omega_m - omega_m) / h
-        if params.alpha_m_max > 0.0:
+        if params.alpha_m_max > 0.0 and load.mode == SPEED:
             alpha = min(max(alpha, -params.alpha_m_max), params.alpha_m_max)
         return Push(0.0, 0.0, alpha)
     forward, backward = brakes(params, load)

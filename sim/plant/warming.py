@@ -96,8 +96,13 @@ class Warming:
         ambient = self._params.ambient - 20.0
         return Factors(
             1.0 + COPPER * (ambient + self.state.winding),
-            1.0 + self._params.magnet * (ambient + self.state.housing),
+            1.0 + self._params.magnet * self.magnet,
         )
+
+    @property
+    def magnet(self) -> float:
+        """By how much, K, the housing and the magnet are warmer than 20 degrees C."""
+        return self._params.ambient - 20.0 + self.state.housing if self._heats else 0.0
 
     def drifted(self, offset: Sequence[float], gain_error: Sequence[float]) -> dict[str, tuple[float, ...]]:
         """Offsets (A) and gain errors of the current sensors now, by these names, from those at switching on."""

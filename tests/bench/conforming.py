@@ -26,7 +26,7 @@ from sim.ports.uart import BITS_PER_CHARACTER, Pacer
 from sim.ports.virtual import VirtualLink
 from tests.devices import FULL, carriers, serving, virtual
 from tests.devices.device import Device
-from tests.devices.spec import Flag
+from tests.devices.spec import Flag, Unit
 from tests.devices.vocabulary import Parameter, Vocabulary
 
 TARGET = f"serial:/dev/ttyTEST{os.getpid()}"  # a target is locked: no two processes of the tests have one
@@ -37,6 +37,9 @@ RICH = replace(
         *FULL.without("watchdog").parameters,
         Parameter(125, "watchdog", WATCHDOG, 2.0**-4, 1, flags=Flag.IDLE_ONLY),
         Parameter(129, "i_range", 32, 0, 64, flags=Flag.READ_ONLY),
+        Parameter(151, "hall_offset", 0, -(2.0**-1), 2.0**-1, Unit.RAD, Flag.IDLE_ONLY),
+        Parameter(152, "hall_swap_hat", 0, 0, 5, flags=Flag.IDLE_ONLY | Flag.WHOLE),
+        Parameter(153, "hall_invert_hat", 0, 0, 7, flags=Flag.IDLE_ONLY | Flag.WHOLE),
     ),
 )
 """With a parameter of each kind, and a short watchdog."""

@@ -55,6 +55,7 @@ def record_made_up(
     reference: bool = True,
     decimation: int = 1,
     omega_told: bool = True,
+    **parameters: float,
 ) -> None:
     """A recording with an encoder at `theta` (n,) rad, unwrapped, and estimates (angle, speed) by short name, no more.
 
@@ -62,7 +63,7 @@ def record_made_up(
     Angles are telemetered as float32, so that formulas hold to 1e-6 rad.
     """
     angle, speed = Flag.CHANNEL | Flag.WRAPS, Flag.CHANNEL | Flag.ESTIMATE
-    columns, parameters = {"theta_enc": theta}, {"n_p": N_P}
+    columns, parameters = {"theta_enc": theta}, {"n_p": N_P, **parameters}
     channels = [Channel(1, "theta_enc", Unit.RAD, RawType.F32, 1.0, angle | (Flag.REFERENCE if reference else Flag(0)))]
     for k, (short, (its_angle, its_speed)) in enumerate(estimates.items()):
         channels.append(Channel(10 + 2 * k, f"theta_{short}", Unit.RAD, RawType.F32, 1.0, angle | Flag.ESTIMATE))

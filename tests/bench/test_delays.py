@@ -10,8 +10,8 @@ import pytest
 from hall_motor import REAL, capture
 from virtual_run import RecordingScreen
 
+from bench.findings.health import examine
 from bench.findings.late import Late, blame
-from bench.hall.health import examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from bench.score.board import score

@@ -55,6 +55,17 @@ def test_a_test_sine_and_false_pulses_are_recomputed_too(where: Injection) -> No
     assert feed(host_observers(bench, inject=0.0), samples, edges, NO_CUTS)[1] > 1000
 
 
+def test_a_turned_ring_with_rotated_and_inverted_wires_is_recomputed_too() -> None:
+    ring = {"hall__offset_deg": 30.0, "wiring__hall_swap": 4, "wiring__hall_invert": 2}
+    told = {"firmware__hall_swap_hat": 4, "firmware__hall_invert_hat": 2}
+    bench = Bench(WatchedLink(simulated(seed=3, **ring, **told)))
+    samples, edges = turned(bench)
+    compared, differ = feed(host_observers(bench), samples, edges, NO_CUTS)
+    assert compared > 5000
+    assert differ == 0
+    assert feed(host_observers(bench, hall_offset=0.0), samples, edges, NO_CUTS)[1] > 5000
+
+
 def test_chunks_of_any_size_and_the_whole_recording_give_the_same_bits(drive_run: Path) -> None:
     recorded = Run(drive_run)
     info, samples, edges = recorded.info, recorded.samples, recorded.edges

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 from click.shell_completion import ShellComplete
 from hall_motor import TABLE_I
@@ -24,7 +25,7 @@ from virtual_run import RecordingScreen, WatchedLink, at_rest, never_armed, phys
 
 from bench.cli import cli, main
 from bench.errors import BenchError, UnsafeError
-from bench.hall.health import Health, examine
+from bench.findings.health import Health, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from bench.record.reader import Run
@@ -257,11 +258,44 @@ def test_passive_watches_a_drive_that_keeps_its_fault_and_changes_nothing_in_it(
     before = dict(machine.parameters)
     with reached(device, by_hand(device)) as links:
         found = look(Options(TARGET, passive=True, duration=30.0))
-    assert [finding.cause for finding in found.findings] == ["sensor a inverted"]
+    assert [finding.cause for finding in found.findings] == [
+        "sensor a inverted, or sensors 60 deg apart, a in the middle"
+    ]
     assert never_armed(*links)
     assert machine.parameters == before
     assert min(found.turns.up, found.turns.down) >= 5.0
     assert links[-1].clock() < 25.0  # it did not wait for the time to be up
+
+
+@pytest.mark.parametrize(("deg", "encoder", "seen"), [(40.0, 1, 0.2), (100.0, 0, 0.5), (100.0, 1, 0.6)])
+def test_a_shaft_that_is_only_rocked_is_watched_on_and_no_sensor_is_accused(
+    deg: float, encoder: int, seen: float
+) -> None:
+    device = simulated(faults__shaft__rock_deg=deg, faults__shaft__rock_hz=2.0, encoder__present=encoder)
+    screen = RecordingScreen()
+    with reached(device) as links, opened(Options(TARGET, passive=True, duration=12.0), screen, None) as source:
+        found = examine(trace(source.turned.capture))
+    assert links[-1].clock() > 12.0
+    assert (found.verdict, found.findings) == (Verdict.INVALID, ())
+    told = re.search(r"reverse, over (\d\.\d): go on in one direction, 0 s left$", screen.lines[-1])
+    assert told is not None
+    assert float(told[1]) == pytest.approx(seen, abs=0.35)
+
+
+def test_forward_in_reverse_and_forward_again_tell_a_slip_at_the_reversal_from_hysteresis() -> None:
+    """The last leg is short: it costs a second and a half."""
+    with reached(simulated()), opened(Options(TARGET, yes=True), RecordingScreen(), None) as source:
+        theta, tick = source.turned.capture.theta, source.turned.capture.samples.tick
+    top = int(np.argmax(theta))
+    bottom = top + int(np.argmin(theta[top:]))
+    assert 4.0 < (theta[-1] - theta[bottom]) / math.tau < 10.0
+    assert len(theta) - bottom < 1.6 * 16_000
+    for at in (tick[top], tick[bottom]):
+        with reached(simulated(faults__encoder__slip_deg=3.0, faults__encoder__slip_at=float(at) / 20e6)):
+            [found] = look(Options(TARGET, yes=True)).findings
+        told = re.search(r"^the encoder slipped by (\d\.\d) deg \(electrical\) at (\d\.\d\d) s$", found.cause)
+        assert told is not None
+        assert (float(told[1]), float(told[2])) == (pytest.approx(3.0, abs=0.1), pytest.approx(at / 20e6, abs=0.2))
 
 
 # -- the command ------------------------------------------------------------------------------------------------
@@ -281,7 +315,7 @@ def test_the_command_prints_a_verdict_and_its_exit_code_is_that(tmp_path, capsys
     assert code == 1
     assert "FAULT: sensors b and c exchanged" in out.splitlines()
     assert "FAULT: false pulses on the Hall wires (EMI)" in out.splitlines()
-    assert max(map(len, out.splitlines())) <= 84
+    assert max(map(len, out.splitlines())) <= 79
     assert json.loads(data.read_text())["outcome"] == "fault"
     code, out, _ = bench(capsys, "check", "sim", "--json", "-")
     assert (code, json.loads(out)["outcome"]) == (0, "healthy")

@@ -16,7 +16,7 @@ from virtual_run import RecordingScreen, WatchedLink, run
 
 from bench.cli import cli
 from bench.device.simulator import motors
-from bench.hall.health import Health, examine
+from bench.findings.health import Health, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from bench.live.run import LiveOutcome
@@ -102,7 +102,7 @@ def test_wrong_pole_pairs_and_a_wrong_flux_linkage_are_named(name: str) -> None:
     motor = load_params(motors()[name]).motor
     for n_p in chosen("pole pairs", (motor.n_p - 1, motor.n_p + 1), 1):
         ended = show(name, firmware__n_p=n_p)
-        assert f"n_p = {n_p} is wrong, or sensors or encoder are ({motor.n_p}.0 would fit)" in ended.summary.result
+        assert f"wrong number of pole pairs: {n_p} in the drive, {motor.n_p} would fit" in ended.summary.result
         assert ended.exit_code == 1
     for factor in chosen("flux linkage", (0.5, 2.0), 1):
         ended = show(name, firmware__psi_f_hat=factor * motor.psi_f)
@@ -129,7 +129,8 @@ def test_a_check_names_what_is_wrong(name: str, fault: str, cause: str, tmp_path
     file = tmp_path / "faulty.toml"
     file.write_text(motors()[name].read_text() + fault.format(n_p + 1))
     health = check(file)
-    assert [finding.cause for finding in health.findings] == [cause.format(n_p + 1, n_p)]
+    [finding] = health.findings
+    assert finding.cause.partition(";")[0] == cause.format(n_p + 1, n_p)
 
 
 def test_the_page_has_their_figures() -> None:

@@ -21,7 +21,7 @@ from virtual_run import WatchedLink, at_rest, physical
 import bench
 from bench.compare.compare import Comparison
 from bench.export.export import Exported
-from bench.hall.health import Health
+from bench.findings.health import Health
 from bench.plot.plot import Plot
 from bench.rig.drive import Drive
 from bench.rig.loads import Load

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -27,14 +28,14 @@ from bench.device.heard import Missing
 from bench.device.losses import Continuity
 from bench.errors import BenchError
 from bench.files import leaves
-from bench.hall.health import examine
+from bench.findings.health import examine
 from bench.hall.trace import Recorded, trace
 from bench.record import writer
 from bench.record.reader import Run
 from bench.record.writer import RunWriter
 from bench.score.board import score
+from bench.signal import hall_inputs, windows
 from bench.signal import trace as trace_of_analysis
-from bench.signal import windows
 from bench.signal.chunks import join, part
 from bench.signal.delays import delays_of
 from bench.signal.trace import INPUTS
@@ -299,8 +300,10 @@ def test_a_trace_does_not_depend_on_the_pieces(monkeypatch: pytest.MonkeyPatch, 
     whole = trace(made)
     monkeypatch.setattr(windows, "PIECE", piece)
     cut = trace(made)
-    assert len(whole.pulses.input) == len(pulses) > 10
-    for group in ("edges", "pulses", "some"):
+    returns = [hall_inputs.read(one.edges, one.tick_hz).returns for one in (cut, whole)]
+    assert len(returns[0]) == len(returns[1]) > 10
+    assert len(returns[0]) == pytest.approx(len(pulses), abs=2)  # where the shaft turns round there is none
+    for group in ("edges", "some"):
         for field in fields(getattr(whole, group)):
             mine, other = (getattr(getattr(one, group), field.name) for one in (cut, whole))
             assert np.allclose(mine, other, atol=1e-9, equal_nan=True), (group, field.name)
@@ -315,16 +318,16 @@ def test_of_many_samples_some_are_measured_and_all_are_counted(monkeypatch: pyte
     whole = trace(made)
     monkeypatch.setattr(trace_of_analysis, "MOST", len(made) // 10)
     monkeypatch.setattr(trace_of_analysis, "MOST_EDGES", len(made.edges) // 3)
-    every = -(-len(made.edges) // (len(made.edges) // 3))
     some = trace(made)
-    assert len(some.some.hall) == pytest.approx(len(made) / 10, abs=2)
-    assert len(some.edges.tick) == pytest.approx(len(whole.edges.tick) / every, abs=6)
+    assert len(some.some.hall) == pytest.approx(len(made) / 16, abs=1)  # every 2nd, 4th, 8th are still too many
+    assert np.ptp(np.diff(some.some.tick)) == 0
+    assert len(some.edges.tick) == pytest.approx(len(whole.edges.tick) / 4, abs=60)  # of blocks of 60
     assert (some.samples, some.changes()) == (len(made), whole.changes())
     flips = made.edges.hall_old ^ made.edges.hall_new
     assert whole.changes() == [int(((flips >> k) & 1).sum()) - slow_flips(whole, made, k) for k in range(len(INPUTS))]
     assert examine(some).verdict == examine(whole).verdict
     for one, other in zip(examine(some).measured.edges, examine(whole).measured.edges, strict=True):
-        assert one.up.angle == pytest.approx(other.up.angle, abs=1e-3)
+        assert math.cos(one.up.angle - other.up.angle) == pytest.approx(1.0, abs=1e-6)
 
 
 def slow_flips(made: Any, of: Any, number: int) -> int:

@@ -22,7 +22,7 @@ WRONG = {
     "four pole pairs": (
         {"motor__n_p": 4, "firmware__n_p": 6},
         {},
-        "n_p = 6 is wrong, or sensors or encoder are (4.0 would fit)",
+        "wrong number of pole pairs: 6 in the drive, 4 would fit; or the encoder has 1/1.5 of the lines",
     ),
     "wires a and b exchanged": ({"wiring__hall_swap": 1}, {}, "300 r/min were asked for, it turned at"),
     "the same, slowly": ({"wiring__hall_swap": 1}, {"speed_rpm": 50.0}, "50 r/min were asked for, it turned at"),

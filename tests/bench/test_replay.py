@@ -106,7 +106,7 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
     ({"literal_sgn": 0.5}, (), "literal_sgn: must be a whole number"),
     ({"nonsense": 1.0}, (), "nonsense: it is no parameter; available: "),
     ({"i_max": 1.0}, (), "i_max: it changes nothing in average_speed"),
-    ({"k_p": 1.0}, ("average_speed",), "k_p: it changes nothing in average_speed; available: hall_timeout"),
+    ({"k_p": 1.0}, ("average_speed",), "k_p: it changes nothing in average_speed; available: hall_offset"),
     ({}, ("nobody",), "no observer 'nobody'; available: average_speed (avg), vector_tracking (vt)"),
     ({}, ("load-angel",), "no observer 'load-angel' (did you mean load_angle?)"),
     ({"k_p": 1.0, "k_p_vt": 2.0}, ("vector-tracking",), "k_p_vt: k_p_vt is already set"),

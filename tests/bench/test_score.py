@@ -114,11 +114,13 @@ def test_known_errors_are_told(made_up_board: Scoreboard) -> None:
     assert (lags, exact["lag"]["speed_us"]) == (pytest.approx([50.0, 0.0, 0.0], abs=0.5), pytest.approx(0.0, abs=1.0))
 
 
-def test_errors_by_sector_stand_in_their_sector(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ring", [0.0, math.radians(30.0), -3.0])
+def test_errors_by_sector_stand_in_their_sector(tmp_path: Path, ring: float) -> None:
     t = np.arange(PWM_HZ) / PWM_HZ
     theta = 200.0 * t
-    third = (np.mod(theta, 2 * np.pi) // (np.pi / 3)) == 2
-    record_made_up(tmp_path / "a.run", theta, {"x": (theta + np.radians(5.0) * third, np.full(len(t), 200.0))})
+    third = (np.mod(theta - ring, 2 * np.pi) // (np.pi / 3)) == 2
+    estimates = {"x": (theta + np.radians(5.0) * third, np.full(len(t), 200.0))}
+    record_made_up(tmp_path / "a.run", theta, estimates, **({"hall_offset": ring} if ring else {}))
     by_sector = score([tmp_path / "a.run"]).pooled["drive_x"]["by_sector"]
     biases = [by_sector[str(k)]["bias"] for k in range(1, 7)]
     assert biases == pytest.approx([0, 0, -5, 0, 0, 0], abs=0.05)

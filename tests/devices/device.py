@@ -293,6 +293,12 @@ class Device:
         self.values[number] = value
         return struct.pack("<Hxxf", number, value)
 
+    def hall_code(self, sector: int) -> int:
+        """What it makes of its inputs in a sector, by SPEC 12."""
+        pins = hall_code(sector) ^ int(self.value("hall_invert_hat", 0))
+        exchanged = {0: "abc", 1: "bac", 2: "acb", 3: "cba", 4: "bca", 5: "cab"}[int(self.value("hall_swap_hat", 0))]
+        return sum((pins >> "abc".index(on) & 1) << bit for bit, on in enumerate(exchanged))
+
     def param_commit(self, message: Message, peer: Peer) -> bytes:
         if self.outputs_on:
             raise Refusal(Code.WRONG_STATE, self.state)
@@ -549,7 +555,9 @@ class Device:
             motor.advance(seconds, i_max)
             reference = motor.setpoint[1] if motor.setpoint and motor.setpoint[0] == Mode.SPEED else 0.0
             rows.append((motor.theta, motor.pole_pairs * motor.speed, motor.pole_pairs * reference, motor.i_q))
-            edges += edges_between((period - 1) * ticks, before, period * ticks, motor.theta, motor.pole_pairs)
+            edges += edges_between(
+                (period - 1) * ticks, before, period * ticks, motor.theta, motor.pole_pairs, self.hall_code
+            )
         first = self._periods
         self._periods += n
         for stream in self.streams.values():
@@ -579,7 +587,7 @@ class Device:
             omega=omega,
             omega_ref=omega_ref,
             i_dq=1j * i_q,
-            hall=np.array([hall_code(int(sector)) for sector in theta // (np.pi / 3)]),
+            hall=np.array([self.hall_code(k) for k in range(6)])[(theta // (np.pi / 3)).astype(int) % 6],
             status=np.full(n, self.state | (int(self.value("observer", 0)) & 3) << 5),
             theta_enc=theta * by_encoder,
             omega_enc=omega * by_encoder,

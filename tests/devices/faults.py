@@ -19,7 +19,7 @@ from cobs import cobs
 from protocol.canmap.transport import ID_MASK, START, TOGGLE, Reassembler
 from protocol.framing import parse_frame
 from tests.devices.device import UNFED, Device, Peer
-from tests.devices.motor import Samples
+from tests.devices.motor import Samples, hall_code
 from tests.devices.spec import ERROR, Code, Command, Event, Flag, Message, Mode, Raw, Refusal, Source, State, Type, Unit
 from tests.devices.streams import Record, Stream
 from tests.devices.vocabulary import FULL, Channel, Vocabulary, encoded
@@ -652,6 +652,13 @@ def _edges_late(self: Device, flush: Callable[..., None], stream: Stream, everyt
         flush(stream, everything)
 
 
+def _counted_as_an_edge(self: Device, param_set: Callable[..., bytes], message: Message, peer: Peer) -> bytes:
+    before = self.hall_code(0)
+    answer = param_set(message, peer)
+    self.edges += self.hall_code(0) != before
+    return answer
+
+
 fault("drop-uncounted", "tx_dropped does not count.", dropped=lambda self, dropped, stream, frames: dropped(stream, 0))
 fault("seq-of-sent", "seq counts the frames that were sent only.", dropped=_seq_of_sent)
 fault("overrun-missing", "No frame carries OVERRUN.", dropped=_no_overrun)
@@ -659,6 +666,12 @@ fault("cfg-id-stale", "Frames carry the cfg_id before.", stream_set=_stale_set, 
 fault("get-stale", "STREAM_GET tells the cfg_id of the first configuration since boot.", stream_get=_stale_get)
 fault("index-odd", "Periods are taken one too early: no index is divisible by the decimation.", IndexOdd)
 fault("sample-tick-back", "Every third frame has a tick of 3 ms ago.", SampleTickBack)
+fault(
+    "hall-as-read",
+    "Hall codes are what the inputs read, whatever it is told.",
+    hall_code=lambda self, _, sector: hall_code(sector),
+)
+fault("hall-set-is-an-edge", "An edge is counted where inputs are taken another way.", param_set=_counted_as_an_edge)
 fault("channels-sorted", "Channels lie in a sample by their ids, however they are named.", ChannelsSorted)
 fault("samples-of-the-past", "Samples have indices and ticks of 120 samples before.", SamplesOfThePast)
 fault(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import pi, tau
 
@@ -102,8 +103,10 @@ class Motor:
         self.theta += self.pole_pairs * self.speed * seconds
 
 
-def edges_between(tick0: int, theta0: float, tick1: int, theta1: float, pole_pairs: int) -> list[Edge]:
-    """The Hall edges on the way, evenly turned."""
+def edges_between(
+    tick0: int, theta0: float, tick1: int, theta1: float, pole_pairs: int, code: Callable[[int], int]
+) -> list[Edge]:
+    """The Hall edges on the way, evenly turned; `code`: of a sector."""
     first, last = int(theta0 // SIXTH), int(theta1 // SIXTH)
     step = 1 if last > first else -1
     found = []
@@ -111,5 +114,5 @@ def edges_between(tick0: int, theta0: float, tick1: int, theta1: float, pole_pai
         border = (sector + (step > 0)) * SIXTH
         tick = tick0 + max(1, round((tick1 - tick0) * (border - theta0) / (theta1 - theta0)))  # after that of a sample
         count = int(border / pole_pairs / tau * ENCODER) & 0xFFFF
-        found.append(Edge(tick, hall_code(sector), hall_code(sector + step), count))
+        found.append(Edge(tick, code(sector), code(sector + step), count))
     return found

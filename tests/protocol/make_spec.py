@@ -17,6 +17,7 @@ from protocol import codes
 from protocol.signals import (
     DRIVE_CHANNELS,
     DRIVE_PARAMETERS,
+    INPUT_OF_SENSOR,
     LESSONS,
     LOAD_CHANNELS,
     LOAD_PARAMETERS,
@@ -29,6 +30,7 @@ from protocol.signals import (
     Signal,
     Status,
     Unit,
+    hall_map,
 )
 
 SPEC = Path(__file__).resolve().parents[2] / "protocol" / "SPEC.md"
@@ -65,6 +67,17 @@ def parameters(items: tuple[Parameter, ...]) -> str:
     )
 
 
+def hall_inputs() -> str:
+    """Return which input each sensor is on, and the map for straight inputs, by `hall_swap_hat`."""
+    return table(
+        ("`hall_swap_hat`", "sensor a is on input", "b on", "c on", "codes of the input words 0 to 7, none inverted"),
+        (
+            (int(swap), *("abc"[k] for k in INPUT_OF_SENSOR[swap]), " ".join(map(str, hall_map(swap, 0))))
+            for swap in HallSwap
+        ),
+    )
+
+
 def comments(kind: type) -> dict[str, str]:
     """Return the comment behind each member in the source."""
     source = Path(sys.modules[kind.__module__].__file__ or "").read_text(encoding="utf-8")
@@ -96,6 +109,7 @@ TABLES = {
     "angle sources": lambda: enum(AngleSource, None),
     "lessons": lambda: table(("value", "parameter"), ((k, f"`{name}`") for k, name in enumerate(LESSONS))),
     "injections": lambda: enum(Injection, None),
+    "Hall inputs": hall_inputs,
     "Hall wires exchanged": lambda: enum(HallSwap, "meaning"),
     "states": lambda: enum(codes.DriveState, None),
     "faults": lambda: enum(codes.Fault, "meaning"),

@@ -87,7 +87,7 @@ def changed(at: int, values: bytes) -> bytes:
         (changed(96 + 16, bytes(16)), "parameter 101 has an empty name"),
         (BLOB[:32] + BLOB, "channel 1 comes twice"),
         (changed(32, b"\x09\0") [:48] + BLOB[16:32] + BLOB[64:], "channel 'omega_m' comes twice"),
-        (BLOB + BLOB[-32:], "parameter 114 comes twice"),
+        (BLOB + BLOB[-32:], "parameter 115 comes twice"),
         (changed(16, b"\xff\xfe" + bytes(14))[:48] + b"\xfd\xfc" + bytes(14) + BLOB[64:], "'\ufffd\ufffd' comes twice"),
     ],
 )  # fmt: skip

@@ -19,6 +19,7 @@ from small_drive import frames_in, small_link, small_link_alone, small_link_in_c
 from test_spec import KINDS
 from test_streams import decode_all, joined
 
+from bench.signal.waveforms import sector_of_angle
 from protocol import messages
 from protocol.canmap.decoders import Beat, CanFrames
 from protocol.canmap.frame import CAN_RECORD, BusRates
@@ -27,10 +28,14 @@ from protocol.canmap.ids import CanClass, CanId
 from protocol.canmap.transport import TransferEncoder
 from protocol.framing import Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import Fault, Feature, StreamEvent
-from protocol.signals import Flag, RawType, Signal, Unit
+from protocol.signals import SECTOR_OF_CODE, Flag, RawType, Signal, Unit, hall_map
 from protocol.streams import EdgeDecoder, SampleDecoder, StreamConfig, TickReference
+from tests.devices import FULL
+from tests.devices.device import Device
+from tests.devices.spec import HALL_CODES
 from tests.tools import needs
 
+SECTORS = np.array(SECTOR_OF_CODE)
 VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
 
 
@@ -275,3 +280,19 @@ def test_hello_as_printed_in_the_spec() -> None:
     hello = Frame(0x01, 1, 1, 1, messages.Hello(0x12345678).pack())
     frames = can_rows.parts(CanWire(BusRates(1_000_000)).encode(hello))
     assert [f"    {number:x}  {data.hex(' ').upper()}" for number, data, _ in frames] == printed.split("\n")
+
+
+def test_hall_codes_of_every_wiring_and_of_some_rings() -> None:
+    cases = load("hall")
+    wirings = {(case["hall_swap_hat"], case["hall_invert_hat"]): case["codes"] for case in cases if "codes" in case}
+    assert len(wirings) == 48
+    for (swap, invert), codes in wirings.items():
+        assert list(hall_map(swap, invert)) == codes
+        device = Device(FULL)  # written from SPEC.md alone
+        device.value = lambda name, _, now={"hall_swap_hat": swap, "hall_invert_hat": invert}: now[name]  # type: ignore[method-assign]
+        assert [device.hall_code(sector) for sector in range(6)] == [codes[code] for code in HALL_CODES]
+    rings = [case for case in cases if "codes_at_deg" in case]
+    for case in rings:
+        theta, codes = np.array(case["codes_at_deg"]).T
+        assert SECTORS[codes.astype(int)].tolist() == sector_of_angle(np.radians(theta), case["hall_offset"]).tolist()
+    assert len(rings) == 6

@@ -7,7 +7,7 @@ import pytest
 from sim.config.params import load_params
 
 
-def notes(**changed: float) -> list[str]:
+def notes(**changed: float | list[float]) -> list[str]:
     said: list[str] = []
     load_params(None, {key.replace("__", "."): value for key, value in changed.items()}, said.append)
     return said
@@ -31,12 +31,16 @@ def test_the_papers_drive_has_none() -> None:
          "firmware.protection.i_trip = 25 A is beyond current_sensor.range = 20 A"),
         ({"firmware__omega_m_max": 400.0},
          "firmware.omega_m_max = 400 rad/s, but inverter.u_dc = 24 V turns the motor at 353 rad/s at most"),
+        ({"faults__begin": 2.0, "wiring__hall_open": 1},
+         "faults.begin = 2 s, but wiring.hall_open is in force from the start"),
+        ({"faults__hall__drift_deg": [0.1, 0.0, 0.0]},
+         "faults.hall.drift_deg moves nothing: with thermal.R_th_winding = 0 K/W nothing gets warm"),
         ({"clock__pwm_hz": 5000},
          "clock.pwm_hz = 5000 Hz makes only 15.9 periods of an electrical revolution at "
          "firmware.omega_m_max = 330 rad/s"),
     ],
 )  # fmt: skip
-def test_each_is_one_line_with_both_values(changed: dict[str, float], said: str) -> None:
+def test_each_is_one_line_with_both_values(changed: dict[str, float | list[float]], said: str) -> None:
     assert notes(**changed) == [said]
 
 

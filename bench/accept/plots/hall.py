@@ -15,18 +15,19 @@ from bench.report.plots import edge_axes
 from bench.report.style import FONT_SIZE, LIGHT, LINE_WIDTH, SERIES
 from bench.signal.capture import F64, Capture
 from bench.signal.waveforms import FORWARD, REVERSE, EdgeOffsets
-from bench.signal.waveforms.sectors import NUMERALS, SECTOR_WIDTH
+from bench.signal.waveforms.sectors import NUMERALS, edge_angle
 
 
-def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> Figure:
+def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float, hall_offset: float = 0.0) -> Figure:
     """The six edges on the circle, and their offsets over the sector that they open.
 
     `expected` (6,) and `tolerance` in rad: the offsets that they should have, halfway between both directions.
+    `hall_offset` (rad): where the first edge belongs.
     """
-    figure, circle, chart = edge_axes(NUMERALS, style.BLACK, 3.0)
+    figure, circle, chart = edge_axes(NUMERALS, style.BLACK, 3.0, hall_offset)
     middle = offsets.mean.mean(axis=1)
     x = np.arange(6)
-    circle.vlines(x * SECTOR_WIDTH - middle, 0, 1, color=SERIES[0], linewidth=LINE_WIDTH, label="measured")
+    circle.vlines(edge_angle(x, hall_offset) - middle, 0, 1, color=SERIES[0], linewidth=LINE_WIDTH, label="measured")
     circle.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, frameon=False, fontsize=FONT_SIZE)
     chart.bar(x, 2 * np.degrees(tolerance), 0.8, np.degrees(expected - tolerance), color=LIGHT, label="allowed")
     for values, mark, hue, words in (
@@ -43,8 +44,8 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
 def draw_misaligned_hall(capture: Capture) -> Figure:
     """The outputs of the three Hall sensors, actual and estimated position, and the error, over the actual angle.
 
-    The paper's Fig. 2 over the angle in place of the time: at the grid lines a well placed sensor would switch. It
-    shows the first two whole electrical turns of `capture`, which must turn forwards.
+    The paper's Fig. 2 over the angle in place of the time: at the grid lines a well placed sensor of the paper's ring
+    would switch. It shows the first two whole electrical turns of `capture`, which must turn forwards.
     """
     shown = 720.0  # deg
     theta = np.degrees(capture.theta)

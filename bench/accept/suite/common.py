@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 
 import numpy as np
 
-from bench.findings.wiring import AS_SPECIFIED, diagnose
+from bench.findings.wiring import AS_SPECIFIED, Diagnosis, diagnose
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.needs import offers
 from bench.rig.ratings import Ratings
 from bench.signal.capture import F64, Capture
 from bench.signal.limits import Limits
 from bench.signal.units import RPM
-from bench.signal.waveforms import EdgeOffsets, edge_offsets, thd_by_angle
+from bench.signal.waveforms import EdgeOffsets, edge_offsets, hall_offset, thd_by_angle
 from bench.signal.waveforms.harmonics import ORDER
 
 if TYPE_CHECKING:
@@ -284,11 +284,17 @@ def turn_both_ways(drive: Drive, rated: Ratings, record: Record, measure: Measur
 def offsets_by_encoder(turning: Sequence[Capture]) -> EdgeOffsets:
     """Where the Hall edges of all these captures lie by the encoder."""
     columns = [(run.theta_at_edges(), run.edges.hall_old, run.edges.hall_new) for run in turning]
-    return edge_offsets(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+    theta, old, new = (np.concatenate(column) for column in zip(*columns, strict=True))
+    return edge_offsets(theta, old, new, hall_offset(turning[0].parameters))
+
+
+def wiring_of(capture: Capture) -> Diagnosis:
+    """Which wiring the Hall codes fit by the encoder. ValueError where too little is seen."""
+    return diagnose(capture.theta - hall_offset(capture.parameters), capture["hall"].astype(np.int64))
 
 
 def _wiring_as_specified(capture: Capture, record: Record) -> float:
-    found = diagnose(capture.theta, capture["hall"].astype(np.int64))
+    found = wiring_of(capture)
     record.note(
         f"Hall wiring: {found.best} (explains {found.share:.1%}), then {found.runner_up} ({found.runner_up_share:.1%})"
     )

@@ -46,6 +46,7 @@ from bench.accept.suite.common import (
     rpm,
     run_at,
     speed_rpm,
+    wiring_of,
 )
 from bench.accept.suite.events import (
     PHASES,
@@ -58,7 +59,7 @@ from bench.accept.suite.events import (
     stepped,
     tripped,
 )
-from bench.findings.wiring import AS_SPECIFIED, diagnose
+from bench.findings.wiring import AS_SPECIFIED
 from bench.rig.loads import Load, NodeLoad
 from protocol.codes import DriveState
 
@@ -338,6 +339,6 @@ def _glitches(drive: Drive, rated: Ratings, record: Record, hall_faults: HallFau
 def _wiring(run: Capture) -> str:
     """What `diagnose` names; why it cannot, where it cannot."""
     try:
-        return diagnose(run[run.reference], run["hall"].astype(np.int64)).best
+        return wiring_of(run).best
     except ValueError as error:
         return str(error)

@@ -52,7 +52,7 @@ from bench.accept.suite.common import (
 )
 from bench.rig.loads import Load, NodeLoad
 from bench.signal.capture import F64
-from bench.signal.waveforms import FORWARD, REVERSE, sine_response
+from bench.signal.waveforms import FORWARD, REVERSE, hall_offset, sine_response
 from bench.signal.waveforms.sectors import NUMERALS
 from protocol.signals import Injection, Status
 
@@ -117,7 +117,7 @@ def test_table1_hall_edges(
     figure(
         "table1",
         "Hall edges by the encoder: on the circle, their offsets in both directions, and the paper's Table I",
-        lambda: draw_edge_offsets(offsets, np.radians(TABLE_I), math.radians(TOLERANCE)),
+        lambda: draw_edge_offsets(offsets, np.radians(TABLE_I), math.radians(TOLERANCE), hall_offset(drive.parameters)),
     )
 
 
@@ -207,7 +207,8 @@ def _errors_at_edges(capture: Capture) -> tuple[F64, F64]:
     """
     error = np.unwrap(capture.position_error("theta_avg"))
     t, edges = capture.t, capture.edges.tick / capture.tick_hz
-    sector = np.round(capture.theta_at_edges() / (math.pi / 3)).astype(int) % 6
+    since = capture.theta_at_edges() - hall_offset(capture.parameters)
+    sector = np.round(since / (math.pi / 3)).astype(int) % 6
     right = np.searchsorted(t, edges, "left")
     inner = (right >= 2) & (right <= len(t) - 2)
     right, edges, sector = right[inner], edges[inner], sector[inner]

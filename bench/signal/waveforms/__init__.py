@@ -10,10 +10,11 @@ is NaN, with its count beside it.
 
 from bench.signal.waveforms.frequency import Spectrum, sine_response, spectrum
 from bench.signal.waveforms.harmonics import Fundamental, Thd, fundamental, thd, thd_by_angle
-from bench.signal.waveforms.sectors import FORWARD, REVERSE, EdgeOffsets, edge_offsets, sector_of_angle
+from bench.signal.waveforms.sectors import FORWARD, REVERSE, EdgeOffsets, edge_offsets, hall_offset, sector_of_angle
 from bench.signal.waveforms.steps import Settled, StepResponse, settled, step_response
 
 __all__ = [
     "REVERSE", "FORWARD", "EdgeOffsets", "Fundamental", "Settled", "Spectrum", "StepResponse", "Thd", "edge_offsets",
-    "fundamental", "sector_of_angle", "settled", "sine_response", "spectrum", "step_response", "thd", "thd_by_angle",
+    "fundamental", "hall_offset", "sector_of_angle", "settled", "sine_response", "spectrum", "step_response", "thd",
+    "thd_by_angle",
 ]  # fmt: skip

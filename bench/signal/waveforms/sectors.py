@@ -1,12 +1,13 @@
 """Electrical sectors, and where the Hall edges lie.
 
-Angles are electrical rad, wrapped or not. Sector k is [k * 60 deg, (k + 1) * 60 deg). Nothing here knows a wiring other
-than the specified one: see `bench.findings.wiring`.
+Angles are electrical rad, wrapped or not. Sector k is [k * 60 deg, (k + 1) * 60 deg) from where the sensors' ring sits,
+`hall_offset`. Nothing here knows a wiring other than the specified one: see `bench.findings.wiring`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,20 +42,33 @@ class EdgeOffsets(NamedTuple):
     """Edges that join no neighbouring sectors: an illegal code, or a sector that was skipped."""
 
 
-def sector_of_angle(theta: Floats) -> NDArray[np.int64]:
+def hall_offset(parameters: Mapping[str, float]) -> float:
+    """Where the ring sits by a drive's parameters: ideal angle of the edge that opens sector 0, rad; 0 if not said."""
+    return parameters.get("hall_offset", 0.0)
+
+
+def edge_angle(sector: NDArray[np.int64], hall_offset: float) -> Floats:
+    """Ideal angles of the edges that open these sectors 0..5, rad, not wrapped; their middles lie half a sector on."""
+    return np.asarray(sector * SECTOR_WIDTH + hall_offset, np.float64)
+
+
+def sector_of_angle(theta: Floats, hall_offset: float = 0.0) -> NDArray[np.int64]:
     """Sector 0..5 of the angles `theta` (n,) rad, by ideal edges."""
-    sector: NDArray[np.int64] = np.floor(theta / SECTOR_WIDTH).astype(np.int64) % SECTORS
+    sector: NDArray[np.int64] = np.floor((theta - hall_offset) / SECTOR_WIDTH).astype(np.int64) % SECTORS
     return sector
 
 
 def edge_offsets(
-    theta_at_edge: ArrayLike, hall_old: NDArray[np.integer[Any]], hall_new: NDArray[np.integer[Any]]
+    theta_at_edge: ArrayLike,
+    hall_old: NDArray[np.integer[Any]],
+    hall_new: NDArray[np.integer[Any]],
+    hall_offset: float = 0.0,
 ) -> EdgeOffsets:
     """Offsets delta of the six edges, met forward and in reverse, from Hall edges with the true angle at each.
 
     `theta_at_edge` (n,) rad, `hall_old` and `hall_new` (n,) codes before and after, 0..7, bit 0 = sensor a. The edge
-    that opens sector s ideally lies at s * 60 deg; measured 3 deg late its delta is -3 deg, as in Table I of Kim et al.
-    2011 (DOI 10.1109/TIE.2010.2098367). Half the hysteresis is (reverse - forward) / 2.
+    that opens sector s ideally lies at `hall_offset` + s * 60 deg; measured 3 deg late its delta is -3 deg, as in
+    Table I of Kim et al. 2011 (DOI 10.1109/TIE.2010.2098367). Half the hysteresis is (reverse - forward) / 2.
 
     Raises ValueError for angles that are not finite, for arrays of different lengths and for codes beyond 7.
     """
@@ -65,7 +79,7 @@ def edge_offsets(
         raise ValueError(f"{np.count_nonzero(~np.isfinite(theta))} of {len(theta)} edges have no finite angle")
     edge, way = edge_passages(old, new)
     forward, reverse = way > 0, way < 0
-    delta = wrap(edge * SECTOR_WIDTH - theta)
+    delta = wrap(edge_angle(edge, hall_offset) - theta)
     mean, std = np.full((2, SECTORS, 2), math.nan)
     n = np.zeros((SECTORS, 2), dtype=np.int64)
     for column, met in ((FORWARD, forward), (REVERSE, reverse)):

@@ -28,7 +28,7 @@ static struct {
     /* the main loop's */
     volatile uint8_t state;
     volatile float wanted; /* mechanical rad/s */
-    float n_p, i_max, omega_m_max, watchdog;
+    float n_p, i_max, omega_m_max, watchdog, hall_offset, hall_swap, hall_invert;
     /* the interrupt's */
     volatile uint8_t on;
     uint64_t now;       /* tick of the last sample */
@@ -37,7 +37,7 @@ static struct {
     uint16_t encoder;   /* count at the sector's beginning */
     uint32_t edge_tick; /* of the last edge */
     float edge_angle, omega_avg;
-} motor = {HBP_STATE_BOOT, 0.0f, 4.0f, 8.0f, 400.0f, 0.2f, 0, 0, 0.0f, 0.25f, 0, 0, 0, 0.0f, 0.0f};
+} motor = {HBP_STATE_BOOT, 0.0f, 4.0f, 8.0f, 400.0f, 0.2f, 0.0f, 0.0f, 0.0f, 0, 0, 0.0f, 0.25f, 0, 0, 0, 0.0f, 0.0f};
 
 static const struct hbp_channel motor_channels[] = {
     {1, HBP_RAW_U8, HBP_UNIT_NONE, 0, offsetof(struct sample, hall), 1.0f, 0.0f, "hall"},
@@ -57,6 +57,9 @@ static const struct hbp_parameter motor_parameters[] = {
     {101, HBP_UNIT_A, 0, 0.5f, 10.0f, 8.0f, &motor.i_max, "i_max"},
     {102, HBP_UNIT_RAD_PER_S, 0, 1.0f, 600.0f, 400.0f, &motor.omega_m_max, "omega_m_max"},
     {103, HBP_UNIT_S, HBP_FLAG_IDLE_ONLY, 0.05f, 1.0f, 0.2f, &motor.watchdog, "watchdog"},
+    {104, HBP_UNIT_RAD, HBP_FLAG_IDLE_ONLY, -PI, PI, 0.0f, &motor.hall_offset, "hall_offset"},
+    {105, HBP_UNIT_NONE, HBP_FLAG_IDLE_ONLY | HBP_FLAG_WHOLE, 0.0f, 5.0f, 0.0f, &motor.hall_swap, "hall_swap_hat"},
+    {106, HBP_UNIT_NONE, HBP_FLAG_IDLE_ONLY | HBP_FLAG_WHOLE, 0.0f, 7.0f, 0.0f, &motor.hall_invert, "hall_invert_hat"},
 };
 
 static uint16_t motor_enter(void *user, uint8_t state, float *detail)
@@ -96,12 +99,22 @@ static const struct hbp_config motor_config = {
     .enter = motor_enter, .setpoint = motor_setpoint, .outputs_on = motor_outputs_on,
 };
 
-static const uint8_t motor_codes[6] = {1, 3, 2, 6, 4, 5};
+static const uint8_t motor_pins[6] = {1, 3, 2, 6, 4, 5}; /* what the inputs read, by sector */
+
+/* The Hall code where the inputs read `pins`: wires and polarities put right (SPEC 12). */
+static uint8_t motor_code(uint8_t pins)
+{
+    static const uint8_t input_of[6][3] = {{0, 1, 2}, {1, 0, 2}, {0, 2, 1}, {2, 1, 0}, {1, 2, 0}, {2, 0, 1}};
+    uint8_t code = 0, k;
+    pins = (uint8_t)(pins ^ (int)motor.hall_invert);
+    for (k = 0; k < 3u; k++) code = (uint8_t)(code | (pins >> input_of[(int)motor.hall_swap][k] & 1u) << k);
+    return code;
+}
 
 /* The shaft has come to another sector, `way` is 1 or -1; that was `ago` ticks before this sample. */
 static void motor_edge(struct hbp *drive, int way, float ago)
 {
-    uint8_t before = motor_codes[motor.sector];
+    uint8_t before = motor_code(motor_pins[motor.sector]);
     uint32_t tick = (uint32_t)motor.now - (uint32_t)ago, since = tick - motor.edge_tick;
     uint16_t encoder = motor.encoder;
     motor.sector = (uint8_t)((motor.sector + 6 + way) % 6);
@@ -110,7 +123,7 @@ static void motor_edge(struct hbp *drive, int way, float ago)
     motor.edge_angle = (float)(way > 0 ? motor.sector : motor.sector + 1) * (PI / 3);
     motor.omega_avg = (float)way * (PI / 3) * MOTOR_TICK_HZ / (float)(since ? since : 1u);
     motor.edge_tick = tick;
-    hbp_edge(drive, tick, before, motor_codes[motor.sector], encoder);
+    hbp_edge(drive, tick, before, motor_code(motor_pins[motor.sector]), encoder);
 }
 
 static int16_t motor_raw(float value)
@@ -158,13 +171,13 @@ static inline void motor_period(struct hbp *drive)
     }
     since = (float)((uint32_t)motor.now - motor.edge_tick) / MOTOR_TICK_HZ;
     if (motor.omega_avg * since > PI / 3 || motor.omega_avg * since < -PI / 3) motor.omega_avg = 0.0f; /* it has become slower */
-    sample.hall = motor_codes[motor.sector];
+    sample.hall = motor_code(motor_pins[motor.sector]);
     sample.status = motor.state;
     sample.theta_enc = motor_angle(((float)motor.sector + motor.part) * (PI / 3));
     sample.omega_enc = motor_raw(motor.omega * motor.n_p / SPEED_SCALE);
     sample.i_q = motor_raw(i_q * 1024);
     sample.omega_ref = motor_raw(motor.wanted * motor.n_p / SPEED_SCALE);
-    sample.theta_avg = motor_angle(motor.edge_angle + motor.omega_avg * since);
+    sample.theta_avg = motor_angle(motor.hall_offset + motor.edge_angle + motor.omega_avg * since);
     sample.omega_avg = motor_raw(motor.omega_avg / SPEED_SCALE);
     hbp_tick(drive, &sample);
 }

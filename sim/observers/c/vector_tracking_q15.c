@@ -192,7 +192,7 @@ void hbq_step(const hbq_params_t *params, hbq_state_t *state, const hbq_sample_t
     const int32_t turn_h = clip(sample->turn_h, HBQ_TURN_MAX);
     const int32_t speed = size_of(turn_h);
     const uint32_t theta_avg = (uint32_t)sample->theta_avg << 16;
-    const uint32_t middle = (uint32_t)(2 * sample->sector + 1) * (uint32_t)TWELFTH;
+    const uint32_t middle = (uint32_t)(2 * sample->sector + 1) * (uint32_t)TWELFTH + params->hall_offset;
     const int driven = (sample->u_alpha != 0) || (sample->u_beta != 0);
 
     if (state->primed == 0) {

@@ -7,7 +7,7 @@
  * floating point, overflows nothing whatever it is given within the ranges below, and never blocks. It neither reads a
  * Hall pin nor measures the time between edges: a capture unit's driver does (README.md).
  *
- * Angles: 2^16 or 2^32 is one electrical turn, unsigned, 0 where the Hall sector 0 opens. Speeds: electrical turns times
+ * Angles: 2^16 or 2^32 is one electrical turn, unsigned, 0 where the rotor's flux lies on phase a. Speeds: electrical turns times
  * 2^32 a control period, signed, at most an eighth of a turn. Voltages and currents: 2^15 is the base that the constants
  * were made for.
  *
@@ -33,6 +33,7 @@ typedef struct {
     int32_t e_min;    /* psi_f omega_on / base_u * 2^30, 4..2^30 - 1 */
     int32_t e_turn;   /* psi_f omega_off / (2 base_u) * 2^30, 0..2^30 - 1 */
     int16_t a_omega;  /* (1 - exp(-2 pi f T_s)) * 2^15 of the speed filter's cut-off f, 1..32767 */
+    uint32_t hall_offset; /* angle at which the Hall sector 0 opens */
 } hbq_params_t;
 
 /* One control period. */

@@ -25,11 +25,13 @@ from sim.config.params import BenchParams
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import ByteNetwork
 from sim.ports.virtual import VirtualLink
+from tests.choice import sampled
 from tests.tools import needs
 
 pytestmark = pytest.mark.slow
 
 SOME = "hall_wire_broken or hall_glitches or torque_constant or fig09"  # noise, draws of the sensors, parameters
+ON_THE_RING = "hall_edges or hall_wiring or fig02 or fig09 or test_observer"
 IDEAL_HALL = "[hall]\ndelta_deg = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\nhysteresis_deg = 0.0\njitter_deg = 0.0\n"
 MOST_BYTES = 5.5e6  # of a report with all its plots, which is to go by mail
 
@@ -96,6 +98,12 @@ def test_a_drive_without_noise_behind_c_passes(keyword: str | None, accepting: A
 @pytest.mark.campaign("suite")
 def test_a_drive_with_ideal_sensors_passes(accepting: Accepting) -> None:
     assert_passes(accepting, IDEAL_HALL)
+
+
+@pytest.mark.long("the part of the suite that looks at the Hall sensors")
+@pytest.mark.parametrize("ring_deg", sampled("turned rings", [30.0, 17.0, -75.0, 180.0], 1, campaign="suite"))
+def test_a_drive_whose_ring_sits_elsewhere_passes(ring_deg: float, accepting: Accepting) -> None:
+    assert_passes(accepting, f"[hall]\noffset_deg = {ring_deg}\n", ON_THE_RING)
 
 
 @pytest.mark.campaign("suite")

@@ -58,12 +58,18 @@ def test_misaligned_sensors_are_shown_over_two_turns() -> None:
     assert [text.get_text() for text in codes.texts] == ["Hall a", "Hall b", "Hall c"]
 
 
-def test_offsets_of_edges_stand_on_the_circle_and_in_the_chart() -> None:
+@pytest.mark.parametrize("ring_deg", [0.0, 30.0, -75.0])
+def test_offsets_of_edges_stand_on_the_circle_and_in_the_chart(ring_deg: float) -> None:
     delta = np.radians(np.array(TABLE_I)[:, None] + np.array([-0.25, 0.25]))
     offsets = EdgeOffsets(delta, np.zeros((6, 2)), np.full((6, 2), 9), 0)
-    circle, chart = draw_edge_offsets(offsets, np.radians(TABLE_I), math.radians(1.0)).axes
-    measured = [segment[0][0] for segment in circle.collections[1].get_segments()]
-    assert np.degrees(measured) == pytest.approx(60.0 * np.arange(6) - np.array(TABLE_I))
+    ring = math.radians(ring_deg)
+    circle, chart = draw_edge_offsets(offsets, np.radians(TABLE_I), math.radians(1.0), ring).axes
+    ideal, measured = ([line[0][0] for line in lines.get_segments()] for lines in circle.collections[:2])
+    assert np.degrees(ideal) == pytest.approx(ring_deg + 60.0 * np.arange(6))
+    assert np.degrees(measured) == pytest.approx(ring_deg + 60.0 * np.arange(6) - np.array(TABLE_I))
+    names = {text.get_text(): math.degrees(text.get_position()[0]) for text in circle.texts}
+    assert names["II"] == pytest.approx(ring_deg + 90.0)
+    assert np.sort(np.degrees(circle.get_xticks())) == pytest.approx(np.sort((ring_deg + 60.0 * np.arange(6)) % 360.0))
     shown = {line.get_label(): line.get_ydata() for line in chart.lines}
     for name, off in (("forward", -0.25), ("reverse", 0.25), ("middle", 0.0)):
         assert shown[name] == pytest.approx(np.array(TABLE_I) + off)

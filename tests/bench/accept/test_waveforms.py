@@ -238,6 +238,8 @@ def test_sectors_open_at_their_lower_edge_and_go_round() -> None:
     assert sector_of_angle(edges + 1e-9).tolist() == list(range(6)) * 4
     assert sector_of_angle(edges - 1e-9).tolist() == [5, *list(range(6)) * 3, *range(5)]
     assert sector_of_angle(np.array([0.0, -1e-300])).tolist() == [0, 5]
+    for ring in (math.radians(30.0), -2.0, math.pi):
+        assert sector_of_angle(edges + ring + 1e-9, ring).tolist() == list(range(6)) * 4
 
 
 def edges_of_turns(delta_deg: tuple[float, ...], hysteresis_deg: float, turns: int) -> tuple[Floats, ...]:
@@ -250,9 +252,10 @@ def edges_of_turns(delta_deg: tuple[float, ...], hysteresis_deg: float, turns: i
     return np.radians((degrees + 180.0) % 360.0 - 180.0), old, new
 
 
-def test_edge_offsets_are_those_of_table_one() -> None:
+@pytest.mark.parametrize("ring_deg", [0.0, 30.0, 17.0, -75.0, 180.0])
+def test_edge_offsets_are_those_of_table_one(ring_deg: float) -> None:
     theta, old, new = edges_of_turns(TABLE_I, 2.0, 5)
-    found = edge_offsets(theta, old, new)
+    found = edge_offsets(theta + math.radians(ring_deg), old, new, math.radians(ring_deg))
     assert np.degrees(found.mean[:, FORWARD]) == pytest.approx(np.array(TABLE_I) - 1.0)
     assert np.degrees(found.mean[:, REVERSE]) == pytest.approx(np.array(TABLE_I) + 1.0)
     assert (found.std, found.n.tolist()) == (pytest.approx(np.zeros((6, 2)), abs=1e-12), [[5, 5]] * 6)

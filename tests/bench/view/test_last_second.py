@@ -23,9 +23,12 @@ T = np.arange(N) / synthetic.PWM_HZ
 LATE = np.array([1.5, -3.0, 7.0, -3.5, 0.5, -2.5])  # deg, of the edges that open the sectors I to VI
 
 
-def made(omega: float, edges: bool = True, **changed: np.ndarray) -> dict[str, object]:
-    """What the last second shows of a shaft that turns at `omega` electrical rad/s, by entity: bars, or text."""
-    theta = math.radians(30.0) + omega * T
+def made(omega: float, edges: bool = True, ring: float = 0.0, **changed: np.ndarray) -> dict[str, object]:
+    """What the last second shows of a shaft that turns at `omega` electrical rad/s, by entity: bars, or text.
+
+    `ring`: rad by which the sensors' ring is turned, and the drive told.
+    """
+    theta = math.radians(30.0) + ring + omega * T
     phase = theta[:, None] - 2 * np.pi / 3 * np.arange(3)
     currents = 4.0 * np.cos(phase) + 0.4 * np.cos(5 * phase) + 0.2 * np.cos(7 * phase)
     values = dict(zip(("i_a", "i_b", "i_c"), currents.T, strict=True))
@@ -34,7 +37,8 @@ def made(omega: float, edges: bool = True, **changed: np.ndarray) -> dict[str, o
     values |= {"omega_enc": np.full(N, omega)} | changed
     errors = {"theta_vt": 2.0 + 3.0 * np.sin(2 * theta)}  # deg
     tick = np.arange(N, dtype=np.int64) * synthetic.TICKS
-    shown = LastSecond(synthetic.run_info(channels=CHANNELS))
+    parameters = {"n_p": 6.0, "hall_offset": ring} if ring else {"n_p": 6.0}
+    shown = LastSecond(synthetic.run_info(channels=CHANNELS, parameters=parameters))
     if edges:
         # late in the direction of travel
         shown.edges(capture(Motor(((omega, 1.0),), delta_deg=-math.copysign(1.0, omega) * LATE)).edges)
@@ -54,9 +58,10 @@ def made(omega: float, edges: bool = True, **changed: np.ndarray) -> dict[str, o
     return found
 
 
+@pytest.mark.parametrize("ring", [0.0, -1.3])
 @pytest.mark.parametrize(("omega", "way"), [(628.0, "forward"), (-628.0, "reverse"), (70.0, "forward")])
-def test_edges_are_late_by_what_they_were_made_late(omega: float, way: str) -> None:
-    found = made(omega)
+def test_edges_are_late_by_what_they_were_made_late(omega: float, way: str, ring: float) -> None:
+    found = made(omega, ring=ring)
     assert [entity for entity in found if entity.startswith("late/")] == [f"late/{way}"]
     np.testing.assert_allclose(found[f"late/{way}"], LATE, atol=0.05)
     words = re.findall(r"([IV]+) ([+-][0-9.]+)", str(found[schema.NUMBERS]))

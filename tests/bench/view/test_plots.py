@@ -12,6 +12,7 @@ from synthetic import named
 
 from bench.view.plane import Plane
 from bench.view.plots import left_out, plots, trend_lines
+from bench.view.schema import PLANE
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Unit
 
@@ -140,3 +141,12 @@ def test_the_voltage_vector_is_compared_with_the_bus_where_there_is_both() -> No
         assert (bus and [line.name for line in bus.lines]) == lines
     bus = plots(synthetic.run_info(channels=named("u_dc", "u_alpha", "u_beta")))["bus"]
     assert [line.name for line in bus.lines] == ["u_dc", "limit u_dc/√3", "|u|"]
+
+
+@pytest.mark.parametrize("ring_deg", [None, 30.0, -75.0])
+def test_the_rays_of_the_plane_are_where_the_drive_has_its_edges(ring_deg: float | None) -> None:
+    parameters = {} if ring_deg is None else {"hall_offset": math.radians(ring_deg)}
+    drawn = dict(Plane(synthetic.run_info(parameters=parameters)).frame())
+    _, *rays = drawn[f"{PLANE}/lines"].strips.as_arrow_array().to_pylist()
+    angles = [math.degrees(math.atan2(-y, x)) % 360.0 for _, (x, y) in rays]
+    assert angles == pytest.approx([((ring_deg or 0.0) + 60.0 * k) % 360.0 for k in range(6)], abs=1e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import json
 import re
 import signal
@@ -15,6 +16,7 @@ from typing import IO
 import pytest
 from building import LIMIT, SOURCE, compiler, run
 
+from protocol.signals import HallSwap, hall_map
 from tests.bench.processes import Program
 
 pytestmark = [pytest.mark.real_time, pytest.mark.long("whole processes in real time, some up to three times")]
@@ -122,6 +124,34 @@ def test_the_watchdog_turns_off_what_a_killed_host_left(start: Callable[..., Pro
     live.process.wait(LIMIT)
     left = health(start, target)
     assert (left["state"], left["outputs_on"], left["faults"]) == ("FAULT", False, ["WATCHDOG"])
+
+
+def test_every_wiring_is_put_right_as_in_the_specification(tmp_path: Path) -> None:
+    """motor_code over all input words, for each swap and inversion."""
+    (tmp_path / "codes.c").write_text(
+        """
+        #define MOTOR_TICK_HZ 10000000u
+        #define MOTOR_PWM_HZ 10000u
+        #define MOTOR_NAME ""
+        #include "motor.h"
+        #include <stdio.h>
+        int main(void)
+        {
+            int n;
+            for (n = 0; n < 6 * 8 * 8; n++) {
+                motor.hall_swap = (float)(n / 64);
+                motor.hall_invert = (float)(n / 8 % 8);
+                printf("%d ", motor_code((uint8_t)(n % 8)));
+            }
+            return motor_config.n_channels == 0;
+        }
+        """
+    )
+    program = tmp_path / "codes"
+    run(compiler("gcc"), f"-I{EXAMPLES}", "-Wno-unused-function", "-o", program, tmp_path / "codes.c", SOURCE / "hbp.c")
+    codes = subprocess.run([program], capture_output=True, text=True, check=True).stdout.split()
+    wirings = itertools.product(HallSwap, range(8))
+    assert list(map(int, codes)) == [code for swap, invert in wirings for code in hall_map(swap, invert)]
 
 
 @pytest.mark.campaign("c")

@@ -155,6 +155,23 @@ def test_faults_are_put_on_the_wires_while_the_drive_runs() -> None:
     assert host.command(Command.FAULT_CLEAR, Fault.HALL) is DriveState.IDLE
 
 
+def test_how_the_hall_sensors_sit_and_are_wired_is_said_while_nothing_runs() -> None:
+    host, device = make()
+    host.start()
+    before = {name: device.bench.parameters[name] for name in ("hall_offset", "hall_swap_hat", "hall_invert_hat")}
+    for name in before:
+        with refused(ErrorCode.WRONG_STATE):
+            host.set(name, 1.0)
+    assert {name: device.bench.parameters[name] for name in before} == before
+    host.command(Command.STOP)
+    for name, most in (("hall_offset", float(np.float32(math.pi))), ("hall_swap_hat", 5.0), ("hall_invert_hat", 7.0)):
+        assert host.set(name, most) == device.bench.parameters[name] == most
+        with refused(ErrorCode.OUT_OF_RANGE):
+            host.set(name, most + 1.0)
+    with refused(ErrorCode.BAD_VALUE):
+        host.set("hall_invert_hat", 0.5)
+
+
 @pytest.mark.parametrize("node", [1, 2])
 def test_watchdog_switches_off_to_the_millisecond(node: int) -> None:
     lines: list[str] = []

@@ -51,6 +51,7 @@ DRIVE = {
     "learn_edges": 1.0,
     "edge_sd": 0.0087,
     "i_range": 20.0,
+    "hall_offset": 0.0,
     **{f"edge_{way}_{s}": 0.0 for way in ("up", "down") for s in range(1, 7)},
 }
 
@@ -188,10 +189,10 @@ def error_deg(actual: np.ndarray, estimated: np.ndarray) -> np.ndarray:
     return (np.degrees(actual - estimated) + 180) % 360 - 180
 
 
-def samples(s: Signals, reset=None) -> np.recarray:
-    """What the front end makes of the signals for the observers."""
+def samples(s: Signals, reset=None, **drive) -> np.recarray:
+    """What the front end makes of the signals for the observers, some parameters of the drive changed."""
     reset = np.zeros(s.tick.size, np.bool_) if reset is None else reset
-    params = sample.make_params(TICK_HZ, own(sample))
+    params = sample.make_params(TICK_HZ, own(sample, **drive))
     return sample.FrontEnd(params).run(s.measured, s.edges, reset).view(np.recarray)
 
 
@@ -216,7 +217,7 @@ def run(observer, params, seen, reset=None, state=None):
 
 def estimate(observer, s: Signals, reset=None, **drive):
     """Estimates of an observer over the signals, some parameters of the drive changed."""
-    return run(observer, observer.make_params(PWM_HZ, own(observer, **drive)), samples(s, reset), reset)[1]
+    return run(observer, observer.make_params(PWM_HZ, own(observer, **drive)), samples(s, reset, **drive), reset)[1]
 
 
 def table(offsets_deg=TABLE_I, downwards_deg=None) -> dict[str, float]:

@@ -12,7 +12,7 @@
 
 #include "vector_tracking_q15.h"
 
-enum { PARAMS = 11, STATE = 10, ROW = 10 };
+enum { PARAMS = 12, STATE = 10, ROW = 10 };
 
 static int16_t narrow(int32_t value)
 {
@@ -34,8 +34,9 @@ static uint16_t narrow_unsigned(int32_t value)
 
 static hbq_params_t params_of(const int32_t *v)
 {
-    const hbq_params_t p = {narrow(v[0]), narrow(v[1]), narrow(v[2]), narrow(v[3]), v[4],         v[5],
-                            v[6],         v[7],         v[8],         v[9],         narrow(v[10])};
+    hbq_params_t p = {narrow(v[0]), narrow(v[1]), narrow(v[2]), narrow(v[3]), v[4],          v[5],
+                      v[6],         v[7],         v[8],         v[9],         narrow(v[10]), 0u};
+    memcpy(&p.hall_offset, &v[11], sizeof p.hall_offset);
     return p;
 }
 

@@ -24,7 +24,7 @@ def front(tick, hall, edge_tick, edge_hall, params=PARAMS):
     """Last state and estimates of the front end, no motor connected."""
     none = np.zeros(tick.size)
     s = Signals(tick, hall, none, none, none, none, none, none, edge_tick, edge_hall, none)
-    end = sample.FrontEnd(average_speed.Params(params, 0.0))
+    end = sample.FrontEnd(average_speed.Params(params, 0.0, 0.0))
     out = end.run(s.measured, s.edges, np.zeros(tick.size, bool))
     return end.state.first.hall, out.view(np.recarray).hall
 

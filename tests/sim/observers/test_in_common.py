@@ -22,11 +22,15 @@ from ideal_motor import (
     samples,
     signals,
     table,
+    turning_back,
 )
 
 from sim.observers import (
     by_front_end,
     edge_kalman,
+    hall_vector,
+    hall_vector_decoupled,
+    load_angle,
     lookup_table,
     programmable_filter,
     sector_centre,
@@ -142,3 +146,25 @@ def test_no_angle_before_a_legal_code_and_none_lost_by_a_gap():
     out = estimate(sector_centre, seen, reset)
     assert set(out.theta[:3]) == {0.0}
     np.testing.assert_allclose(out.theta[3:], np.pi / 2, rtol=1e-12)
+
+
+ALL = (*EXACT, sector_centre, load_angle, hall_vector, hall_vector_decoupled)
+RINGS = chosen("how the ring is turned", [30.0, 17.0, -75.0, 180.0, -180.0, 90.0, -123.4, 59.0, -1.0], 2)
+
+
+@pytest.mark.parametrize("ring_deg", RINGS)
+@pytest.mark.parametrize("observer", ALL, ids=named)
+def test_a_ring_that_is_turned_with_the_rotor_leaves_the_same_errors(observer, ring_deg):
+    """Stator and ring have no preferred direction: all turned alike, errors are what they were, from start to reversal.
+
+    But for rounding to integers, and for the legs of the inverter, which stay where they are: the Kalman filter's.
+    """
+    alike = {vector_tracking_q15: 1.0, edge_kalman: 0.05}.get(observer, 0.01)  # deg; a tick is worth 0.001
+    turn = np.radians(ring_deg)
+
+    def errors(by):
+        way = turning_back(rpm(400), 0.4, 2000.0, 0.6)
+        s = signals(lambda t: way(t) + by, 1.2, i_q=3.0, edges_deg=PAPER_EDGES + np.degrees(by), fine=10)
+        return error_deg(s.theta, observed(observer, s, **table(), hall_offset=by).theta)
+
+    assert np.abs((errors(turn) - errors(0.0) + 180.0) % 360.0 - 180.0).max() < alike

@@ -33,7 +33,7 @@ from tests.choice import also_in, chosen
 MODULES = [name for name in CATALOGUE if name != "average_speed"]  # which is the front end's
 OBSERVERS = [import_module(f"sim.observers.{name}") for name in MODULES]
 EACH = pytest.mark.parametrize("observer", OBSERVERS, ids=MODULES)
-OPTIONAL = {*EDGES, "inject", "inject_amplitude", "inject_hz", "learn_edges", "edge_sd", "i_range"}
+OPTIONAL = {*EDGES, "inject", "inject_amplitude", "inject_hz", "learn_edges", "edge_sd", "i_range", "hall_offset"}
 WINDOW = 100  # samples
 TOLD = {"k_ic": 11.0, **table()}
 

@@ -104,6 +104,7 @@ def constants(draw):
         draw(limits(4, (1 << 30) - 1)),
         draw(limits(0, (1 << 30) - 1)),
         draw(limits(1, INT16)),
+        draw(limits(0, TURN - 1)),
     )
 
 
@@ -211,6 +212,9 @@ def test_constants_of_table_ii_by_hand():
     assert q.e_min == pytest.approx(0.131 * 33554432, abs=1)
     assert q.e_turn == pytest.approx(0.0393 * 33554432, abs=1)
     assert q.a_omega == round(32768 * (1 - math.exp(-2 * math.pi * 50 / 16000)))
+    assert [
+        q15.make_params(PWM_HZ, own(q15, hall_offset=math.radians(deg))).q.hall_offset for deg in (0, 90, -90, 180)
+    ] == [0, 1 << 30, 3 << 30, 1 << 31]
 
 
 @pytest.mark.parametrize(

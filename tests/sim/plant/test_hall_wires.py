@@ -21,7 +21,7 @@ TABLES = {  # the inputs c b a for the sensors' codes c b a = 000 .. 111, writte
 
 def inputs(**wrong):
     params = hall_wiring.make_params(20e6, **dict.fromkeys(hall_wiring.PARAMETERS, 0.0) | wrong)
-    return [hall_wiring.pins(params, code, 0) for code in range(8)]
+    return [hall_wiring.pins(params, code, 0, 0) for code in range(8)]
 
 
 @pytest.mark.parametrize(("name", "value"), list(TABLES))

@@ -45,7 +45,8 @@ static float n_p = 4.0f, i_max = 5.0f, i_trip = 8.0f, omega_m_max = 300.0f, watc
 static volatile float wanted;    /* the last setpoint, mechanical rad/s */
 static volatile uint8_t state, tripped;
 static volatile uint64_t moment; /* tick of the last sample, the PWM interrupt's */
-static uint8_t hall;             /* the code after the last edge, TIM4's */
+static uint8_t pins;             /* what the Hall inputs read after the last edge, TIM4's */
+static float hall_offset, hall_swap, hall_invert;
 static char serial[25];
 static struct hbp drive;
 
@@ -61,6 +62,9 @@ static const struct hbp_parameter parameters[] = {
     {102, HBP_UNIT_A, 0, 0.5f, 20.0f, 8.0f, &i_trip, "i_trip"},
     {103, HBP_UNIT_RAD_PER_S, 0, 1.0f, 600.0f, 300.0f, &omega_m_max, "omega_m_max"},
     {104, HBP_UNIT_S, HBP_FLAG_IDLE_ONLY, 0.05f, 1.0f, 0.2f, &watchdog, "watchdog"},
+    {105, HBP_UNIT_RAD, HBP_FLAG_IDLE_ONLY, -3.14159265f, 3.14159265f, 0.0f, &hall_offset, "hall_offset"}, /* your control adds it */
+    {106, HBP_UNIT_NONE, HBP_FLAG_IDLE_ONLY | HBP_FLAG_WHOLE, 0.0f, 5.0f, 0.0f, &hall_swap, "hall_swap_hat"},
+    {107, HBP_UNIT_NONE, HBP_FLAG_IDLE_ONLY | HBP_FLAG_WHOLE, 0.0f, 7.0f, 0.0f, &hall_invert, "hall_invert_hat"},
 };
 
 static void outputs_off(void)
@@ -130,19 +134,29 @@ static int beyond(int16_t current)
     return amperes > i_trip || amperes < -i_trip;
 }
 
-static uint8_t hall_code(void)
+static uint8_t hall_pins(void)
 {
     return (uint8_t)(GPIOB->IDR >> 6 & 7u);
+}
+
+/* The Hall code where the inputs read `word`: wires and polarities put right (SPEC 12). */
+static uint8_t hall_code(uint8_t word)
+{
+    static const uint8_t input_of[6][3] = {{0, 1, 2}, {1, 0, 2}, {0, 2, 1}, {2, 1, 0}, {1, 2, 0}, {2, 0, 1}};
+    uint8_t code = 0, k;
+    word = (uint8_t)(word ^ (int)hall_invert);
+    for (k = 0; k < 3u; k++) code = (uint8_t)(code | (word >> input_of[(int)hall_swap][k] & 1u) << k);
+    return code;
 }
 
 void TIM4_IRQHandler(void);
 void TIM4_IRQHandler(void)
 {
     uint32_t tick = TIM2->CNT - TIM4->CNT; /* this interrupt must not come later than TIM4 counts, 385 us */
-    uint8_t before = hall;
+    uint8_t before = pins;
     TIM4->SR = ~BIT(1);
-    hall = hall_code();
-    if (hall != before) hbp_edge(&drive, tick, before, hall, 0); /* no encoder */
+    pins = hall_pins();
+    if (pins != before) hbp_edge(&drive, tick, hall_code(before), hall_code(pins), 0); /* no encoder */
 }
 
 void ADC1_2_IRQHandler(void);
@@ -153,7 +167,7 @@ void ADC1_2_IRQHandler(void)
     ADC1->ISR = BIT(6);
     sample.i_a = (int16_t)((int)ADC1->JDR[0] - MIDDLE);
     sample.i_b = (int16_t)((int)ADC1->JDR[1] - MIDDLE);
-    sample.hall = hall;
+    sample.hall = hall_code(pins);
     sample.status = state;
     if (beyond(sample.i_a) || beyond(sample.i_b) || (TIM1->SR & BREAK_FLAG)) {
         outputs_off();
@@ -285,7 +299,7 @@ static void start_timers(void)
     TIM4->CCER = BIT(0);
     TIM4->DIER = BIT(1);
     TIM4->CR1 = BIT(2) | BIT(0);
-    hall = hall_code();
+    pins = hall_pins();
     TIM2->EGR = BIT(0);
     TIM2->CR1 = BIT(0);
     TIM1->CR1 |= BIT(0);
