@@ -53,6 +53,8 @@ class Health:
     emf: BackEmf | None
     delays: Delays
     wiring: Diagnosis | None
+    resolution: float
+    """rad rms to which an edge is known at the mean speed."""
 
     @property
     def exit_code(self) -> int:
@@ -68,7 +70,10 @@ def examine(trace: Trace, further: str = "", still_named: bool = False) -> Healt
     measured = hall_edges.measure(trace)
     inputs = measured.inputs
     turns, found_pulses, codes = reference.turns(trace, inputs), pulses.count(trace, inputs), _codes(trace, inputs)
-    health = Health(Verdict.INVALID, (), (), (), turns, measured, found_pulses, codes, None, UNKNOWN, None)
+    health = Health(
+        Verdict.INVALID, (), (), (), turns, measured, found_pulses, codes, None, UNKNOWN, None,
+        resolution(trace, measured),
+    )  # fmt: skip
     missing: list[str] = []
     covered = max(inputs.reach, _reach(trace))
     if not turns.total >= LEAST_TURNS or covered < LEAST_REACH:
@@ -102,8 +107,7 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
         return replace(health, missing=("no edges were passed at a speed that is known: turn the shaft on in one way",))
     if not steady and fit.aside > CLOUDED * (fit.passages + fit.aside):
         return replace(health, missing=("what disturbs the inputs hides where their edges lie: mend that first",))
-    known = resolution(trace, measured)
-    least = encoder.harms(known)
+    least = encoder.harms(health.resolution)
     jumps = [step for step in fit.common.steps if abs(step.size) >= least]
     if contradicting := list(encoder.lines(measured, fit, turns, jumps)):
         return replace(health, findings=tuple(contradicting))
@@ -123,10 +127,10 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     wired = [] if jumped else list(wiring.order(possible, declared, emf is not None))
     findings += [finding for finding in wired if not (reversed_too and finding.code == "encoder_reversed")]
     if edges.enough(measured):
-        findings += [*edges.places(measured), *(() if jumped else edges.magnets(measured, known))]
+        findings += [*edges.places(measured), *(() if jumped else edges.magnets(measured, health.resolution))]
         if steady and not jumped and not any(finding.code == "encoder_late" for finding in findings):
             findings += edges.late_edges(measured, time_step(trace))
-        findings += edges.unsteady(measured, known) if steady and not findings else ()
+        findings += edges.unsteady(measured, health.resolution) if steady and not findings else ()
     notes += [*wiring.ring(possible, emf is not None), *_delays(measured, findings)]
     return replace(
         health, findings=tuple(findings), missing=tuple(_thin(turns, measured)), notes=tuple(notes), emf=emf,
@@ -140,7 +144,7 @@ def _blind(trace: Trace, health: Health, steady: bool) -> Health:
     findings = list(wiring.missing_codes(measured))
     if steady and edges.enough(measured):
         findings += [*edges.places(measured), *edges.late_edges(measured, time_step(trace))]
-        findings += [] if findings else edges.unsteady(measured, resolution(trace, measured))
+        findings += [] if findings else edges.unsteady(measured, health.resolution)
     missing = (
         "no encoder was recorded: without one, exchanged wires, the angle of the ring and a delay that all edges share "
         "are not known; the sensors were judged against each other; record theta_enc, or fit an encoder for the check",

@@ -25,7 +25,16 @@ from bench.findings import wiring
 from bench.findings.encoder import SLIPS, TELL, ahead
 from bench.findings.finding import Finding, degrees, percent
 from bench.findings.health import Health
-from bench.findings.thresholds import HYSTERESIS, LEARN_ASIDE, LEARN_LEG, LEARN_MOTOR, LEARN_SD, LEARN_WITHIN, SET
+from bench.findings.thresholds import (
+    BEATS,
+    HYSTERESIS,
+    LEARN_ASIDE,
+    LEARN_LEG,
+    LEARN_MOTOR,
+    LEARN_SD,
+    LEARN_WITHIN,
+    SET,
+)
 from bench.findings.wiring import Wired
 from bench.hall.lessons import Lessons
 from bench.rig.restore import not_put_back, put_back
@@ -161,7 +170,14 @@ def _require_consistent(health: Health) -> None:
     fit, sd, words = health.measured.fit, _standard_deviation(health), ""
     if fit is not None:
         both, aside = float(np.mean(fit.hysteresis)), fit.aside / max(1, fit.passages + fit.aside)
-        if fit.common.steps and not _index(health):
+        moves, of_times = [abs(step.size) for step in fit.common.steps], BEATS * health.resolution
+        largest = max([*moves, fit.common.drifted])
+        if (moves or fit.common.drifted > LEARN_WITHIN) and largest < of_times:
+            words = (
+                f"all edges moved by up to {degrees(largest)} together, less than a step of the times and angles that "
+                f"were recorded ({degrees(of_times)}): let the drive capture its edges, or turn it slower"
+            )
+        elif moves and not _index(health):
             slips = ", ".join(degrees(step.size) for step in fit.common.steps)
             words = f"all edges moved by {slips} while the shaft turned, as an encoder that slips makes them; {SLIPS}"
         elif fit.common.drifted > LEARN_WITHIN:

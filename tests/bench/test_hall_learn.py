@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
@@ -19,7 +20,7 @@ from bench.cli import main
 from bench.device.client import Client
 from bench.device.node import LOAD, Node
 from bench.errors import BenchError, NodeError
-from bench.findings.health import examine
+from bench.findings.health import Health, examine
 from bench.hall.learn import Learnt, learnt, save, write
 from bench.hall.trace import trace
 from bench.signal.verdict import Verdict
@@ -173,6 +174,8 @@ def test_what_is_fooling_is_not_all_refused_and_healthy_drives_are_learnt() -> N
         recorded = made.capture()
         health = examine(trace(recorded))
         if health.verdict is Verdict.PASS:
+            if made.resolution and math.degrees(health.resolution) > 1.0 and too_coarse(health, recorded.parameters):
+                continue
             found = learnt(health, recorded.parameters)
             off = np.degrees([*found.edge_up, *found.edge_down]) - edges_of(
                 made.sensors, made.parameters["hall_offset"]
@@ -180,6 +183,15 @@ def test_what_is_fooling_is_not_all_refused_and_healthy_drives_are_learnt() -> N
             assert np.abs(off).max() <= 3.0 * math.degrees(found.edge_sd)
             kept += 1
     assert kept >= 4
+
+
+def too_coarse(health: Health, parameters: Mapping[str, float]) -> bool:
+    """Whether its edges are not learned because its times are too coarse; never that the encoder slips."""
+    try:
+        learnt(health, parameters)
+    except BenchError as error:
+        return "a step of the times" in str(error)
+    return False
 
 
 def fooling(seed: int) -> Recording:
