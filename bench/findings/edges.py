@@ -21,6 +21,7 @@ from bench.findings.thresholds import (
     ECCENTRIC,
     LATE_EDGES,
     LEAST_PASSAGES,
+    LEFT,
     PAIR_OFF,
     PAIRS_OFF,
     SCATTER,
@@ -93,7 +94,7 @@ def magnets(measured: Measured, resolution: float) -> Iterator[Finding]:
     uneven = of_turn - 2.0 / pairs * (np.vdot(wave, of_turn) * wave).real
     alike, rest = np.delete(of_pair, worst), max(1, pairs - 3)
     one = abs(alone) > PAIR_OFF and alike.var() * (pairs - 1) / max(1, pairs - 2) <= uneven.var() * pairs / rest
-    if not one and sine > max(ECCENTRIC * pairs, SINE) and uneven.std() < 0.4 * of_turn.std():
+    if not one and sine > max(ECCENTRIC * pairs, SINE) and uneven.std() < LEFT * of_turn.std():
         yield Finding(
             "encoder_eccentric",
             f"the encoder's disc or the magnet ring is eccentric: all edges move by {degrees(sine)} once a turn",

@@ -92,6 +92,9 @@ PAIR_OFF, PAIRS_OFF = math.radians(6.0), math.radians(3.0)
 """rad by which one pole pair may stand off, and edges of pole pairs may differ, rms: 0.85 to 1.36 in real motors."""
 ECCENTRIC, SINE = math.radians(0.35), math.radians(4.0)
 """rad of the shaft, and electrical, by which a disc or a ring may swing: 0.1 mm at a radius of 16 mm."""
+LEFT = 0.4
+"""Of what edges differ by over a turn of the shaft, that may be left beside a swing once a turn: uneven magnets leave
+more, for any of them have some of it."""
 LATE_EDGES, TOLD_LATE = 350e-6, 40e-6
 """s by which edges may come late, unless that is `DISPLACED` at the fastest; and from which on it is told: 66 us
 falling and 150 us rising were measured on e-bikes, 275 us between the two on a hub motor."""
