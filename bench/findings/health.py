@@ -85,12 +85,11 @@ def examine(trace: Trace, further: str = "", still_named: bool = False) -> Healt
         )
         findings: list[Finding] = [*wiring.by_samples(trace)] if still_named else []
     else:
-        broken = [*sensors.dead(trace, inputs, covered)] or [*sensors.contacts(trace, inputs, codes)]
-        findings = [
-            *broken,
-            *sensors.bounces(inputs, found_pulses, broken),
-            *sensors.false_pulses(found_pulses, broken),
-        ]
+        dead = [*sensors.dead(trace, inputs, covered)]
+        findings = dead or [*sensors.contacts(trace, inputs, codes)]
+        broken = bool(findings)
+        if dead or not broken:  # a contact that opens makes bounces and pulses
+            findings += [*sensors.bounces(inputs, found_pulses, dead), *sensors.false_pulses(found_pulses, dead)]
         if not broken:
             by_encoder = trace.encoder and not math.isnan(inputs.ratio)
             health = (_by_encoder if by_encoder else _blind)(trace, health, steady=not findings)

@@ -14,22 +14,19 @@ from numpy.typing import NDArray
 
 from bench.findings.finding import Finding, percent
 from bench.findings.thresholds import (
-    BLIND_MISSES,
     BOUNCES,
     BROKEN,
     DEAD_TURNS,
-    EVENLY,
-    MISSES,
-    MOSTLY,
+    LONG,
+    OFTEN_AWAY,
     ONE_SIDED,
     PULSE_RATE,
     PULSES,
-    SIDE,
+    SELDOM_AWAY,
     STILL,
-    UNEQUAL,
-    WINDOWS,
 )
-from bench.signal.hall_inputs import NEAR, Inputs
+from bench.signal import levels
+from bench.signal.hall_inputs import Inputs
 from bench.signal.pulses import Pulses
 from bench.signal.trace import INPUTS, Edges, Trace
 
@@ -46,26 +43,6 @@ class Codes:
     skipped: int
     """Edges over a sector, between legal codes."""
     edges: int
-
-
-def missed(inputs: Inputs) -> NDArray[np.int64]:
-    """(3,) how often each input should have changed and changed back while the shaft turned, and did not.
-
-    By the encoder; without one by the net sectors, of which a revolution has two where an input does nothing.
-    """
-    changes, least, one = inputs.changes, MISSES, 1.0
-    if np.isfinite(inputs.ratio):
-        changes = changes.of(np.isfinite(changes.theta))
-        place = changes.theta / inputs.ratio / math.tau
-    else:
-        place, least, one = changes.sectors / 6.0, BLIND_MISSES, 1.0 / 3.0
-    found = np.zeros(3, np.int64)
-    for number in range(3):
-        own = changes.input == number
-        gap, omega = np.abs(np.diff(place[own])), changes.omega[own]
-        same = (np.diff(changes.stretch[own]) == 0) & (omega[1:] * omega[:-1] > 0.0)
-        found[number] = np.round((gap[(gap > least) & same] - 0.5) / one).clip(1).sum()
-    return found
 
 
 def dead(trace: Trace, inputs: Inputs, turned: float) -> Iterator[Finding]:
@@ -146,57 +123,40 @@ def stuck(name: str, level: int) -> tuple[str, str]:
 
 
 def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
-    """Wires that make contact now and then: an input that misses edges, or goes away for a part of a revolution."""
-    returns, changes = inputs.returns, inputs.changes
-    gone, blind = missed(inputs), not np.isfinite(inputs.ratio)
-    changed, at_one = np.bincount(changes.input, minlength=3), _levels(trace.edges)
+    """Wires that make contact now and then: an input that reads one level where it should read the other.
+
+    False pulses do that to both levels, last less than `LONG`, and are not in the way of a whole half revolution.
+    """
+    found = levels.levels(trace.edges, inputs, trace.tick_hz)
+    if found is None:
+        return
+    returns = inputs.returns
+    away = np.zeros((3, 2), np.int64)
+    for number, level in np.ndindex(3, 2):
+        own = (returns.input == number) & (returns.high == bool(level)) & ~returns.at_edge
+        away[number, level] = np.count_nonzero(own & (returns.width > LONG))
+    one_sided = found.halves.min(axis=1) <= ONE_SIDED * found.halves.max(axis=1)
+    alike = one_sided.all() and (found.halves.max(axis=1) >= OFTEN_AWAY).all() and not found.whole.any()
     for number, name in enumerate(INPUTS):
-        own = returns.input == number
-        apart = own & ~returns.at_edge
-        n, high = int(np.count_nonzero(apart)), int(np.count_nonzero(apart & returns.high))
-        long = int(np.count_nonzero(apart & (returns.travel >= NEAR)))
-        one_sided = n >= ONE_SIDED and max(high, n - high) > SIDE * n
-        both_sides = n >= ONE_SIDED and not one_sided
-        windows = int(gone[number])
-        if both_sides and windows < WINDOWS * n:  # pulses beside an edge do that, too
-            windows = 0
-        if blind and windows <= np.delete(gone, number).max() * 5:  # all alike: the sectors are not told well
-            windows = 0
-        away = windows + (0 if both_sides else long) + (n if one_sided else 0)
-        level = at_one[number]
-        others = float(np.abs(np.delete(at_one, number) - 0.5).min())
-        evenly = n >= ONE_SIDED and abs(high / n - 0.5) < EVENLY
-        lopsided = abs(level - 0.5) > max(UNEQUAL, 3.0 * others) and not evenly
-        seldom = changed[number] < MOSTLY * changed.max() and not both_sides
-        mostly = (lopsided or seldom) and int(np.count_nonzero(own)) > BROKEN
-        if away <= BROKEN and not mostly:
+        level = int(np.argmax(found.share[number]))
+        halves, whole = int(found.halves[number, level]), int(found.whole[number, level])
+        long = int(away[number, level]) if away[number, 1 - level] == 0 else 0
+        often = halves >= OFTEN_AWAY or (halves >= SELDOM_AWAY and whole + long >= BROKEN)
+        if alike or not one_sided[number] or not often:
             continue
-        share = float(returns.width[own & (returns.high == (level > 0.5))].sum()) / max(trace.measured, 1e-9)
-        words = [
-            f"{windows} times it did not change where it should have" if windows else "",
-            f"{int(np.count_nonzero(own))} times it went away and came back, {percent(share)} of the time"
-            if own.any()
-            else "",
-            f"of {codes.edges} edges, {codes.illegal} lead to or from 000 or 111 and {codes.skipped} skip a sector",
-        ]
+        share = percent(float(found.share[number, level]))
+        whole_too = f", in {whole} of them all the way" if whole else ""
         yield Finding(
             "contact",
             f"the wire of sensor {name} makes intermittent contact",
-            tuple(filter(None, words)),
+            (
+                f"in {halves} of {found.revolutions} half revolutions it reads {level} where it should read "
+                f"{1 - level}{whole_too}, {share} of the way; in {found.halves[number, 1 - level]} the other way round",
+                f"of {codes.edges} edges, {codes.illegal} lead to or from 000 or 111 and {codes.skipped} skip a sector",
+                *(() if whole or long else ("interference to one level only does that too, where a pull-up is weak",)),
+            ),
             f"move the connector and the wire of sensor {name} while the shaft turns, and watch this count",
         )
-
-
-def _levels(edges: Edges) -> NDArray[np.float64]:
-    """Share of the time in which each input was 1, standing left out."""
-    if len(edges.tick) < 2:
-        return np.full(3, math.nan)
-    lasts = np.diff(edges.tick).astype(np.float64)
-    whole = np.sort(lasts)[::-1]
-    lasts = np.minimum(lasts, 3.0 * float(whole[np.searchsorted(np.cumsum(whole), 0.5 * whole.sum())]))
-    high = edges.new[:-1, None] >> np.arange(3) & 1
-    levels: NDArray[np.float64] = lasts @ high / lasts.sum()
-    return levels
 
 
 def bounces(inputs: Inputs, found: Pulses, broken: Iterable[Finding]) -> Iterator[Finding]:

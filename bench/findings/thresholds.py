@@ -47,20 +47,13 @@ STILL = 0.01
 """Share of time, and of the changes of the others, in which an input that never changes may have changed."""
 DEAD_TURNS = 3.0
 """Electrical revolutions without a change of an input, from which on it is dead."""
-MISSES, BLIND_MISSES = 0.85, 0.8
-"""Electrical revolutions between two changes of an input, from which on it missed one: sensors are 1 over half of one,
-and none was found to be off by more than 30 deg. Without an encoder five sectors."""
-BROKEN, ONE_SIDED, SIDE = 2, 8, 0.9
-"""Times that an input may go away for a part of a revolution; and short ones, of which such a share is to one level,
-that no interference makes: eight are so by chance once in 128."""
-WINDOWS = 0.2
-"""Of what returns to both levels, as pulses do, that an input must miss besides to be a contact."""
-EVENLY = 0.15
-"""Share by which returns to 1 may be more or less than half of all, where they come from an interference."""
-UNEQUAL = 0.08
-"""Share of the time by which an input may be 1 more or less than half of it: edges 8.4 deg off make 0.05."""
-MOSTLY = 0.8
-"""Of the changes of the other inputs, below which an input that goes away and comes back is away mostly."""
+OFTEN_AWAY, ONE_SIDED = 8, 0.15
+"""Half revolutions in which an input reads one wrong level, and such a share of them the other: eight are so by chance
+once in 128."""
+SELDOM_AWAY, BROKEN = 3, 2
+"""Half revolutions with which that is told as well, where so many are wrong wholly, or the input is away for `LONG`."""
+LONG = 5e-3
+"""s, longer than a false pulse lasts."""
 PULSES, PULSE_RATE = 3, 0.1
 """False pulses, in all and in a second, that are a fault: fewer come from switching a lamp."""
 BOUNCES = 0.005

@@ -1,0 +1,185 @@
+"""What level each Hall input had in each half of an electrical revolution, and where that was the wrong one.
+
+An input that follows its magnet is 1 over one half of a revolution and 0 over the other, wherever its sensor stands. So
+the mean over many revolutions tells where it should be 1, and each revolution whether it was. That holds for a wire
+that is open half of the time as well as for one that is away for a millisecond.
+
+Revolutions are told by the encoder, or by one of the inputs as long as its edges follow each other evenly: by that of
+the four which the inputs follow best. One input that is well is enough to tell of the two others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.signal.hall_inputs import ALIKE, Bools, Inputs
+from bench.signal.trace import SLOW, Edges, Floats, Ints
+
+BINS = 24
+"""Of a revolution."""
+BESIDE = 3
+"""Of them on either side of an edge that do not count, 45 deg: no edge was found farther from where it mostly is."""
+STEADY = 1.3
+"""Times the revolution before or after it, that one may last to be told by an input."""
+MOST_REVOLUTIONS = 4000
+"""That are looked at, in runs evenly spread."""
+IN_CHAIN, LEAST = 3, 6
+"""Revolutions in a row that last alike (an edge too many makes two that do), and of all that are looked at, at least."""
+UNLIKE, ENCODER = 0.2, 0.1
+"""What tells revolutions badly smears levels to both sides, and no other input rises once in each of them: as wrong
+levels, the logarithm of how often one does; and by how much the encoder is trusted more."""
+IN_A_ROW = 8
+"""Of these, and so many in a row."""
+UNCLEAR = 0.3
+"""Of how clearly inputs mostly follow each other, below which a revolution does not tell which way the shaft turned."""
+FOLLOWS = 0.1
+"""Share of revolutions in which an input has another level in one part than in another, below which it follows none."""
+PARTLY, WHOLLY = 0.02, 0.95
+"""Of a half revolution, from which on some of it, and all of it, had the wrong level."""
+
+
+class Levels(NamedTuple):
+    """What was wrong with the levels, by the input and the level that it had, each array (3, 2)."""
+
+    share: Floats
+    """Of the way over which the other level was right."""
+    halves: Ints
+    """Half revolutions with a part that was wrong,"""
+    whole: Ints
+    """and those that were wrong wholly."""
+    revolutions: int
+    """That were looked at."""
+
+
+class _Way(NamedTuple):
+    """Revolutions that something tells, at edges (n,)."""
+
+    place: Floats  # in revolutions; NaN where it is not known
+    known: Bools  # whether it is told until the next edge
+    step: Floats  # until then; 0 where it is not
+    input: int | None  # that tells it, None for the encoder; it grows when the shaft turns back, too
+
+
+def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
+    """The levels of inputs between edges, in the order of time; None where nothing tells a revolution."""
+    best, least = None, math.inf
+    rises = inputs.changes.of(inputs.changes.high)
+    at = np.searchsorted(edges.tick, rises.tick)
+    for way in _ways(edges, inputs, tick_hz):
+        high = _by_revolution(edges, way)
+        if high.shape[1] < LEAST:
+            continue
+        found = _wrong(high)
+        n = np.bincount(rises.input[way.known[at]], minlength=3)
+        apart = np.abs(np.log((n + 1.0) / (np.abs(way.step).sum() + 1.0)))[np.arange(3) != way.input]
+        unlikely = float(found.share.min(axis=1).sum() + 0.03 * found.share.sum()) + UNLIKE * float(apart.min())
+        unlikely -= ENCODER if way.input is None else 0.0
+        if unlikely < least:
+            best, least = found, unlikely
+    return best if best is not None and np.count_nonzero(best.share.max(axis=1) > 0.5) < 3 else None
+
+
+def _ways(edges: Edges, inputs: Inputs, tick_hz: float) -> Iterator[_Way]:
+    """By the encoder, and by each input, that rises once in a revolution."""
+    together = np.append(np.diff(edges.stretch) == 0, False)
+    as_it_should = math.isnan(inputs.ratio) or abs(abs(inputs.ratio) - 1.0) < ALIKE
+    for ratio in (1.0,) if as_it_should else (1.0, abs(inputs.ratio)):  # an input that is away spoils the ratio, too
+        omega, place = edges.omega / max(ratio, 1e-9), edges.theta / max(ratio, 1e-9) / math.tau
+        same = np.append(omega[1:] * omega[:-1] > 0.0, False)
+        yield _way(place, (np.abs(omega) >= SLOW) & same & together, None)
+    for number in range(3):
+        rises = inputs.changes.of((inputs.changes.input == number) & inputs.changes.high)
+        if len(rises) < 3:
+            continue
+        lasts = np.diff(rises.tick) / tick_hz
+        alike = np.maximum(lasts[1:], lasts[:-1]) < STEADY * np.minimum(lasts[1:], lasts[:-1])
+        alike &= np.diff(rises.stretch[1:]) == 0
+        alike &= np.diff(rises.stretch[:-1]) == 0
+        chain = np.cumsum(np.insert(~alike, 0, True))
+        even = (np.bincount(chain)[chain] >= IN_CHAIN) & (lasts < math.tau / SLOW)
+        place = np.interp(edges.tick, rises.tick, np.arange(len(rises)), math.nan, math.nan)
+        told = np.isfinite(place)
+        known = np.zeros(len(place), bool)
+        known[told] = even[np.minimum(place[told].astype(np.int64), len(even) - 1)]
+        yield _way(place, known & together, number)
+
+
+def _way(place: Floats, known: Bools, number: int | None) -> _Way:
+    step = np.append(np.diff(place), math.nan)
+    known = known & np.isfinite(step)
+    return _Way(place, known, np.where(known, step, 0.0), number)
+
+
+def _by_revolution(edges: Edges, way: _Way) -> Floats:
+    """(3, r, BINS) share of each part of each revolution in which each input was 1."""
+    known, step = way.known, way.step
+    gone = np.abs(step)
+    path = np.concatenate([[0.0], np.cumsum(gone)[:-1]])
+    forth = np.where(known, step >= 0.0, False)
+    ahead = np.append(known[:-1] & (known[1:] & (forth[1:] == forth[:-1])), False)  # goes on after the next edge
+    starts = np.flatnonzero(known & ~np.insert(ahead[:-1], 0, False))
+    ends = np.flatnonzero(known & ~ahead) + 1
+    lo, hi = (f(way.place[starts], way.place[ends]) for f in (np.minimum, np.maximum))
+    n = np.maximum(np.floor(hi) - np.ceil(lo), 0.0).astype(np.int64)
+    run = np.repeat(np.arange(len(n)), n)
+    first = np.ceil(lo)[run] + np.arange(len(run)) - np.repeat(np.cumsum(n) - n, n)
+    every = -(-len(run) // MOST_REVOLUTIONS) or 1
+    use = np.arange(len(run)) // IN_A_ROW % every == 0
+    run, first = run[use], first[use]
+    at = path[starts][run, None] + np.abs(first[:, None] + np.arange(BINS + 1) / BINS - way.place[starts][run, None])
+    high = np.empty((3, len(run), BINS))
+    for number in range(3):
+        behind = np.concatenate([[0.0], np.cumsum(gone * (edges.new >> number & 1))[:-1]])
+        high[number] = np.abs(np.diff(np.interp(at, path, behind), axis=1)) * BINS
+    return high if way.input is None or not len(run) else _turned_alike(high, run)
+
+
+def _turned_alike(high: Floats, run: Ints) -> Floats:
+    """With the parts in one order, where a shaft that turns back shows them the other way round.
+
+    Revolutions in which it turns round are left out.
+    """
+    wave = np.exp(2j * math.pi * (np.arange(BINS) + 0.5) / BINS)
+    sums = high @ wave  # (3, r)
+    own = int(np.argmax(np.abs((sums / np.maximum(np.abs(sums), 1e-9)).sum(axis=1))))  # 1 in the same parts of all
+    middle = float(np.angle(sums[own].sum()))
+    apart = (sums * np.exp(-1j * middle)).imag
+    along = np.linalg.eigh(apart @ apart.T)[1][:, -1] @ apart  # the order in which the others follow, and how clearly
+    clear = np.flatnonzero(np.abs(along) > UNCLEAR * float(np.median(np.abs(along))))
+    if not len(clear):
+        return high[:, :0]
+    after = np.searchsorted(clear, np.arange(len(run)))
+    last, next_ = clear[np.maximum(np.searchsorted(clear, np.arange(len(run)), "right") - 1, 0)], clear[
+        np.minimum(after, len(clear) - 1)
+    ]
+    last, next_ = np.where(run[last] == run, last, next_), np.where(run[next_] == run, next_, last)
+    back = along[last] < 0.0
+    turned = (2 * round(middle / math.tau * BINS) - 1 - np.arange(BINS)) % BINS
+    high[:, back] = high[:, back][:, :, turned]
+    return high[:, (back == (along[next_] < 0.0)) & (run[last] == run)]
+
+
+def _wrong(high: Floats) -> Levels:
+    """Where inputs had the wrong level, by what they mostly have in each part of a revolution."""
+    share, halves, whole = np.zeros((3, 2)), np.zeros((3, 2), np.int64), np.zeros((3, 2), np.int64)
+    for number, own in enumerate(high):
+        mean = own.mean(axis=0)
+        mean = (np.roll(mean, 1) + mean + np.roll(mean, -1)) / 3.0
+        should = mean > 0.5 * (mean.max() + mean.min())
+        parts = [should != bool(level) for level in (0, 1)]
+        for _ in range(BESIDE):
+            parts = [part & np.roll(part, 1) & np.roll(part, -1) for part in parts]
+        if np.ptp(mean) < FOLLOWS or not all(part.any() for part in parts):  # mostly it does not change at all
+            parts[int(mean.mean() < 0.5)][:] = False
+            parts[int(mean.mean() > 0.5)][:] = True
+        for level, part in enumerate(parts):
+            if part.any():
+                wrong = own[:, part].mean(axis=1) if level else 1.0 - own[:, part].mean(axis=1)
+                share[number, level] = float(wrong.mean())
+                halves[number, level] = np.count_nonzero(wrong > PARTLY)
+                whole[number, level] = np.count_nonzero(wrong > WHOLLY)
+    return Levels(share, halves, whole, high.shape[1])
