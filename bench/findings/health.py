@@ -20,7 +20,7 @@ import numpy as np
 from bench.findings import edges, encoder, late, sensors, wiring
 from bench.findings.finding import Finding
 from bench.findings.sensors import Codes
-from bench.findings.thresholds import CLOUDED, LEAST_PASSAGES, LEAST_REACH, LEAST_TURNS
+from bench.findings.thresholds import CLOUDED, HIDDEN, LEAST_PASSAGES, LEAST_REACH, LEAST_TURNS
 from bench.findings.wiring import Diagnosis, diagnose
 from bench.signal import hall_edges, pulses, reference
 from bench.signal.delays import Delays, delays_of
@@ -104,7 +104,7 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     measured, turns, fit = health.measured, health.turns, health.measured.fit
     if fit is None:
         return replace(health, missing=("no edges were passed at a speed that is known: turn the shaft on in one way",))
-    if not steady and fit.aside > CLOUDED * (fit.passages + fit.aside):
+    if not steady and (fit.aside > CLOUDED * (fit.passages + fit.aside) or measured.inputs.away > HIDDEN):
         return replace(health, missing=("what disturbs the inputs hides where their edges lie: mend that first",))
     least = encoder.harms(health.resolution)
     jumps = [step for step in fit.common.steps if abs(step.size) >= least]

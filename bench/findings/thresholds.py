@@ -75,6 +75,8 @@ SCATTER, SCATTER_ALL = math.radians(2.0), math.radians(4.0)
 by 1.4 deg rms in real motors, are not told apart, as much more."""
 CLOUDED = 0.3
 """Share of edges far from their places, beyond which nothing more is said of an encoder while inputs are disturbed."""
+HIDDEN = math.radians(5.0)
+"""rad for each of its edges that an input is away in returns, beyond which likewise: an edge that one covers is late."""
 TWICE = 2.0
 """Times the slow revolutions that the fast ones must be, that edges without an encoder are called late."""
 SWINGING = 10.0 * math.tau

@@ -36,6 +36,8 @@ SWAYS = 15.0
 """Electrical rad/s below which no sectors are alike: a driven shaft may sway there and its sectors last alike."""
 NEAR = math.radians(15.0)
 """rad from an edge of the same input within which a return is at that edge."""
+MOSTLY = 0.5
+"""Of the returns that do not lie at edges by chance, that must lie there where an input bounces."""
 STOPPED = 0.02
 """Ratio of encoder to sectors, below which the encoder does not turn."""
 ALIKE = 0.1
@@ -95,8 +97,10 @@ class Returns:
     """s."""
     travel: Floats
     """rad that the shaft went meanwhile."""
+    near: Bools
+    """Whether it was within `NEAR` of an edge of the same input,"""
     at_edge: Bools
-    """Whether it was within `NEAR` of an edge of the same input."""
+    """or followed one that was."""
     current: Floats
     """Size of the current vector then, A; NaN where no current was recorded."""
 
@@ -130,6 +134,12 @@ class Inputs:
     def reach(self) -> float:
         """Electrical revolutions between the farthest places that the shaft was at."""
         return float(np.ptp(self.net.sectors)) / SECTORS if len(self.net.sectors) else 0.0
+
+    @property
+    def away(self) -> float:
+        """rad for each of its edges that the input that returns the most is away."""
+        away = np.bincount(self.returns.input, self.returns.travel, minlength=3)
+        return float((away / np.maximum(np.bincount(self.changes.input, minlength=3), 1)).max())
 
     @property
     def steps(self) -> Ints:
@@ -287,7 +297,9 @@ def _settled(t: Floats, high: Bools, omega: Floats, stretch: Ints, most: Floats)
 def bouncing(returns: Returns, which: Bools) -> bool:
     """Whether more of these returns lie at edges than would by chance, wherever they came."""
     expected = float(np.minimum((2.0 * NEAR + returns.travel[which]) / math.pi, 1.0).sum())
-    return float(np.count_nonzero(returns.at_edge[which])) > expected + 3.0 * math.sqrt(expected)
+    mostly = expected + MOSTLY * (np.count_nonzero(which) - expected)
+    near, at_edge = (np.count_nonzero(both[which]) for both in (returns.near, returns.at_edge))
+    return bool(near > expected + 3.0 * math.sqrt(expected) and at_edge > mostly)
 
 
 def _first_of_bounces(one: Changes, stays: Ints, first: Ints, returns: Returns, tick_hz: float) -> Ints:
@@ -315,6 +327,7 @@ def _returned(one: Changes, stays: Ints, first: Ints, second: Ints, tick_hz: flo
         left = np.abs(one.tick[first] - kept[np.maximum(after - 1, 0)])
         right = np.abs(kept[np.minimum(after, len(kept) - 1)] - one.tick[second])
         apart = np.minimum(left, right) / tick_hz * size
+    near = apart < NEAR
     order = np.argsort(one.tick[first], kind="stable")
     lasted = np.maximum(width[order[1:]], width[order[:-1]]) * size[order[1:]]
     gap = (one.tick[first[order[1:]]] - one.tick[second[order[:-1]]]) / tick_hz * size[order[1:]]
@@ -322,5 +335,5 @@ def _returned(one: Changes, stays: Ints, first: Ints, second: Ints, tick_hz: flo
         after = order[1:][(gap < np.minimum(NEAR, 2.0 * lasted)) & (apart[order[:-1]] < NEAR)]
         apart[after] = 0.0
     return Returns(
-        one.input[first], one.high[first], one.tick[first], width, width * size, apart < NEAR, current[first]
+        one.input[first], one.high[first], one.tick[first], width, width * size, near, apart < NEAR, current[first]
     )  # fmt: skip

@@ -22,6 +22,9 @@ APART = 1.5
 ONE_WAY = 0.1
 """Share of the other level, below which returns are to one level only."""
 
+FEW = 5
+"""Returns of an input, below which where they lie may be chance."""
+
 
 @dataclass(frozen=True)
 class CurrentBin:
@@ -103,11 +106,13 @@ def kinds(returns: Returns) -> tuple[Bools, Bools]:
 def _bouncing(returns: Returns, short: Bools) -> Bools:
     """By input, whether it bounces: after an edge the old level comes back, so rising edges bounce to 0, falling to 1.
 
-    What always returns from one level, and not only at edges, is a contact.
+    What always returns from one level, and not only at edges, is a contact. An input with few returns does what all do.
     """
     found = np.zeros(3, bool)
     for number in range(3):
         own = short & (returns.input == number)
+        if np.count_nonzero(own) < FEW:
+            own = short
         n, near, high = (int(np.count_nonzero(own & which)) for which in (own, returns.at_edge, returns.high))
         both_ways = ONE_WAY * n < high < (1.0 - ONE_WAY) * n
         found[number] = bouncing(returns, own) and (both_ways or near > (1.0 - 2.0 * ONE_WAY) * n)
