@@ -31,9 +31,9 @@ class Late(Enum):
 
 def blame(found: Delays) -> tuple[Late, str]:
     """What is late by these delays, and how that is known, in words; where several causes fit, all are named."""
-    edges, emf = found
-    known = [delay for delay in found if not math.isnan(delay)]
-    if all(abs(delay) < LATE for delay in known):
+    edges, emf, by_count = found
+    known = [abs(delay) - off for delay, off in ((edges, by_count if math.isnan(emf) else 0.0), (emf, 0.0))]
+    if all(beyond < LATE for beyond in known if not math.isnan(beyond)):
         return Late.NONE, ""
     edges_differ, emf_differs = _against(edges, "Hall edges", ""), _against(emf, "back-EMF", "s")
     if math.isnan(emf):

@@ -22,7 +22,9 @@ from bench.findings.thresholds import (
     ONE_SIDED,
     PULSE_RATE,
     PULSES,
+    SEEN_OF,
     SELDOM_AWAY,
+    SHORTLY,
     STILL,
 )
 from bench.signal import levels
@@ -130,19 +132,20 @@ def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
     found = levels.levels(trace.edges, inputs, trace.tick_hz)
     if found is None:
         return
-    returns = inputs.returns
-    away = np.zeros((3, 2), np.int64)
-    for number, level in np.ndindex(3, 2):
-        own = (returns.input == number) & (returns.high == bool(level)) & ~returns.at_edge
-        away[number, level] = np.count_nonzero(own & (returns.width > LONG))
-    one_sided = found.halves.min(axis=1) <= ONE_SIDED * found.halves.max(axis=1)
-    alike = one_sided.all() and (found.halves.max(axis=1) >= OFTEN_AWAY).all() and not found.whole.any()
+    returns, turns = inputs.returns, sum(inputs.turns)
+    if found.revolutions < SEEN_OF * min(turns, levels.MOST_REVOLUTIONS):
+        return
+    alike = (found.halves.max(axis=1) >= OFTEN_AWAY).all() and not found.whole.any()
     for number, name in enumerate(INPUTS):
         level = int(np.argmax(found.share[number]))
         halves, whole = int(found.halves[number, level]), int(found.whole[number, level])
-        long = int(away[number, level]) if away[number, 1 - level] == 0 else 0
+        sides = [(returns.input == number) & (returns.high == bool(way)) for way in (level, 1 - level)]
+        long = int(np.count_nonzero(sides[0] & ~returns.at_edge & (returns.width > LONG)))
+        one_sided = found.halves[number, 1 - level] <= ONE_SIDED * halves
+        if found.share[number, level] < SHORTLY:  # else what closes shortly returns as well
+            one_sided &= np.count_nonzero(sides[1]) <= 0.5 * max(np.count_nonzero(sides[0]), halves)
         often = halves >= OFTEN_AWAY or (halves >= SELDOM_AWAY and whole + long >= BROKEN)
-        if alike or not one_sided[number] or not often:
+        if alike or not one_sided or not often:
             continue
         share = percent(float(found.share[number, level]))
         whole_too = f", in {whole} of them all the way" if whole else ""

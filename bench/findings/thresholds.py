@@ -50,7 +50,10 @@ DEAD_TURNS = 3.0
 OFTEN_AWAY, ONE_SIDED = 8, 0.15
 """Half revolutions in which an input reads one wrong level, and such a share of them the other: eight are so by chance
 once in 128."""
-SELDOM_AWAY, BROKEN = 3, 2
+SEEN_OF, SHORTLY = 0.3, 0.1
+"""Of the revolutions by the sectors, with which that is told; and share of the way, up to which all that returns must
+be on that side, too."""
+SELDOM_AWAY, BROKEN = 4, 2
 """Half revolutions with which that is told as well, where so many are wrong wholly, or the input is away for `LONG`."""
 LONG = 5e-3
 """s, longer than a false pulse lasts."""

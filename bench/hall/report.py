@@ -151,7 +151,7 @@ def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
         )
     rows += _precision_rows(health, trace)
     if not math.isnan(measured.delay):
-        within = measured.delay_half_width * 1e6
+        within = (measured.delay_half_width + measured.delay_by_count) * 1e6
         seen = "early" if measured.delay < 0.0 else "late"
         rows.append([f"edges seen {seen}", f"by {abs(measured.delay) * 1e6:.1f} us +- {within:.1f} us (95 %)"])
     if measured.blind and measured.fit is not None and not _delays_known(health):

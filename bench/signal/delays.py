@@ -41,6 +41,8 @@ class Delays(NamedTuple):
 
     edges: float
     back_emf: float
+    by_count: float = 0.0
+    """By which that of the edges may be off because the encoder's angle has steps."""
 
 
 def delays(capture: Capture) -> Delays:
@@ -55,7 +57,8 @@ def delays_of(trace: Trace, measured: Measured | None = None, since: int = 0) ->
     if trace.samples < LEAST or not trace.encoder:
         return Delays(math.nan, math.nan)
     edges = measure(trace) if measured is None else measured
-    return Delays(edges.delay if edges.delay_half_width < AGREE else math.nan, _by_back_emf(trace, since))
+    known = edges.delay_half_width < AGREE
+    return Delays(edges.delay if known else math.nan, _by_back_emf(trace, since), edges.delay_by_count if known else 0.0)
 
 
 def _by_back_emf(trace: Trace, since: int) -> float:

@@ -97,7 +97,10 @@ class Measured:
     """s by which edges are seen late, in the mean; NaN where the speeds do not tell, the angles are then those at
     speed."""
     delay_half_width: float
-    """Of its 95 % confidence interval, s."""
+    """Of its 95 % confidence interval, s, what the steps of the encoder's angle may add left out:"""
+    delay_by_count: float
+    """s, at most: an edge that always lies at one place within a count is off by up to half of it when the shaft is slow,
+    and not when it is fast."""
     outliers: int
     """Passages left out because they lay far from where their edge was fitted."""
     duty: tuple[float, ...]
@@ -204,15 +207,16 @@ def measure(trace: Trace) -> Measured:
         (places[OPENS.index((k, False))] - places[OPENS.index((k, True))]) % math.tau / math.tau
         for k in range(len(INPUTS))
     )
-    delay = half_width = math.nan
+    delay = half_width = by_count = math.nan
     if fit is not None and not blind:
         delay = float(np.mean(fit.delay))
         alike = np.ptp(fit.delay) == 0.0  # one was fitted to all
         error = float(fit.delay_sd[0, 0] if alike else np.sqrt(np.sum(fit.delay_sd**2)) / fit.delay.size)
         half_width = _t(max(1, fit.passages)) * error
+        by_count = 0.5 * trace.count / max((fit.fastest - fit.slowest) / QUANTILES_APART, 1e-9)
     outliers = 0 if fit is None else fit.aside
     return Measured(
-        found, math.nan if blind else ring, delay, half_width, outliers, duty, widths, inputs, fit, blind,
+        found, math.nan if blind else ring, delay, half_width, by_count, outliers, duty, widths, inputs, fit, blind,
         trace.tick_hz, scale,
     )  # fmt: skip
 
@@ -270,6 +274,8 @@ def mean_angle(angles: Floats) -> float:
     return wrapped(float(np.angle(np.exp(1j * angles).mean()))) if len(angles) else math.nan
 
 
+QUANTILES_APART = 3.1
+"""Standard deviations between the slowest and the fastest twentieth of speeds, of an even distribution."""
 QUANTILES = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622)
 """Two-sided, of Student's t at 95 %, with 1 to 9 degrees of freedom."""
 NORMAL = 1.959964

@@ -21,15 +21,15 @@ from bench.signal.trace import SLOW, Edges, Floats, Ints
 
 BINS = 24
 """Of a revolution."""
-BESIDE = 3
-"""Of them on either side of an edge that do not count, 45 deg: no edge was found farther from where it mostly is."""
+BESIDE = 4
+"""Of them on either side of an edge that do not count, 60 deg: no edge was found farther from where it mostly is."""
 STEADY = 1.3
 """Times the revolution before or after it, that one may last to be told by an input."""
 MOST_REVOLUTIONS = 4000
 """That are looked at, in runs evenly spread."""
 IN_CHAIN, LEAST = 3, 6
 """Revolutions in a row that last alike (an edge too many makes two that do), and of all that are looked at, at least."""
-UNLIKE, ENCODER = 0.2, 0.1
+UNLIKE, ENCODER = 0.2, 0.02
 """What tells revolutions badly smears levels to both sides, and no other input rises once in each of them: as wrong
 levels, the logarithm of how often one does; and by how much the encoder is trusted more."""
 IN_A_ROW = 8
@@ -80,7 +80,7 @@ def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
         unlikely -= ENCODER if way.input is None else 0.0
         if unlikely < least:
             best, least = found, unlikely
-    return best if best is not None and np.count_nonzero(best.share.max(axis=1) > 0.5) < 3 else None
+    return best if best is not None and np.count_nonzero(best.share.max(axis=1) > 0.5) < 2 else None
 
 
 def _ways(edges: Edges, inputs: Inputs, tick_hz: float) -> Iterator[_Way]:
