@@ -28,7 +28,7 @@ from bench.signal.hall_edges import Measured
 from bench.signal.hall_inputs import Inputs
 from bench.signal.pulses import Pulses
 from bench.signal.reference import BackEmf, Turns
-from bench.signal.trace import SLOW, Trace
+from bench.signal.trace import INPUTS, SLOW, Trace
 from bench.signal.verdict import Verdict
 from bench.signal.waveforms.sectors import steps_between
 
@@ -89,10 +89,13 @@ def examine(trace: Trace, further: str = "", still_named: bool = False) -> Healt
         findings = dead or [*sensors.contacts(trace, inputs, codes)]
         broken = bool(findings)
         if dead or not broken:  # a contact that opens makes bounces and pulses
-            findings += [*sensors.bounces(inputs, found_pulses, dead), *sensors.false_pulses(found_pulses, dead)]
+            away = dict(() if dead else sensors.away(inputs))
+            missing += away.values()
+            well = "".join(name for name in INPUTS if name not in sensors.named(dead) and name not in away)
+            findings += [*sensors.bounces(inputs, found_pulses, well), *sensors.false_pulses(found_pulses, well)]
         if not broken:
             by_encoder = trace.encoder and not math.isnan(inputs.ratio)
-            health = (_by_encoder if by_encoder else _blind)(trace, health, steady=not findings)
+            health = (_by_encoder if by_encoder else _blind)(trace, health, steady=not findings and not away)
     findings += health.findings
     missing += health.missing
     verdict = Verdict.FAIL if findings else Verdict.INVALID if missing else Verdict.PASS

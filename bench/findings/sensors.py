@@ -142,10 +142,10 @@ def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
         sides = [(returns.input == number) & (returns.high == bool(way)) for way in (level, 1 - level)]
         long = int(np.count_nonzero(sides[0] & ~returns.at_edge & (returns.width > LONG)))
         one_sided = found.halves[number, 1 - level] <= ONE_SIDED * halves
-        if found.share[number, level] < SHORTLY:  # else what closes shortly returns as well
+        lasting = halves >= SELDOM_AWAY and whole + long >= BROKEN
+        if not lasting and found.share[number, level] < SHORTLY:  # else what closes shortly returns as well
             one_sided &= np.count_nonzero(sides[1]) <= 0.5 * max(np.count_nonzero(sides[0]), halves)
-        often = halves >= OFTEN_AWAY or (halves >= SELDOM_AWAY and whole + long >= BROKEN)
-        if alike or not one_sided or not often:
+        if alike or not one_sided or not (lasting or halves >= OFTEN_AWAY):
             continue
         share = percent(float(found.share[number, level]))
         whole_too = f", in {whole} of them all the way" if whole else ""
@@ -162,13 +162,25 @@ def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
         )
 
 
-def bounces(inputs: Inputs, found: Pulses, broken: Iterable[Finding]) -> Iterator[Finding]:
-    """Inputs that change more than once at an edge; `broken`: as in `false_pulses`."""
+def away(inputs: Inputs) -> Iterator[tuple[str, str]]:
+    """Inputs, by name, that went away for longer than a false pulse lasts, too seldom to say why; and that in words."""
+    returns = inputs.returns
+    for number, name in enumerate(INPUTS):
+        width = returns.width[(returns.input == number) & ~returns.at_edge]
+        if len(width) and width.max() > LONG:
+            yield name, (
+                f"input {name} went away and came back {len(width)} times, for up to {1e3 * width.max():.1f} ms: "
+                f"a contact that opens, or interference; move the wire of sensor {name} while the shaft turns for longer"
+            )
+
+
+def bounces(inputs: Inputs, found: Pulses, well: str) -> Iterator[Finding]:
+    """Inputs that change more than once at an edge; `well`: those of which it is asked."""
     ratio = f"{abs(inputs.ratio):.3f} electrical revolutions by the encoder for each by the sectors, returns left out"
     agrees = () if math.isnan(inputs.ratio) else (ratio,)
     for number, name in enumerate(INPUTS):
         n, edges = found.bounces[number], int(np.count_nonzero(inputs.changes.input == number))
-        if n < PULSES or n < BOUNCES * edges or _named(name, broken):
+        if n < PULSES or n < BOUNCES * edges or name not in well:
             continue
         middle, widest = (1e6 * width for width in found.bounce_width)
         yield Finding(
@@ -183,14 +195,10 @@ def bounces(inputs: Inputs, found: Pulses, broken: Iterable[Finding]) -> Iterato
         )
 
 
-def false_pulses(found: Pulses, broken: Iterable[Finding]) -> Iterator[Finding]:
-    """Inputs that are back before the shaft can have gone a small part of a sector, anywhere in it.
-
-    `broken`: contacts and dead inputs that were found: theirs are none.
-    """
-    well = [n for name, n in zip(INPUTS, found.by_input, strict=True) if not _named(name, broken)]
-    share = sum(well) / max(1, found.n)
-    if sum(well) < PULSES or found.rate * share < PULSE_RATE:
+def false_pulses(found: Pulses, well: str) -> Iterator[Finding]:
+    """Inputs that are back before the shaft can have gone a small part of a sector, anywhere in it; `well`: as before."""
+    own = sum(n for name, n in zip(INPUTS, found.by_input, strict=True) if name in well)
+    if own < PULSES or found.rate * own / found.n < PULSE_RATE:
         return
     evidence = [
         f"{found.n} pulses of at most {found.widest * 1e6:.1f} us, {found.rate:.3g} a second; "
@@ -211,5 +219,6 @@ def false_pulses(found: Pulses, broken: Iterable[Finding]) -> Iterator[Finding]:
     )
 
 
-def _named(name: str, broken: Iterable[Finding]) -> bool:
-    return any(f" {name} " in f"{finding.cause} " for finding in broken)
+def named(findings: Iterable[Finding]) -> str:
+    """Names of the inputs that findings are of."""
+    return "".join(name for name in INPUTS if any(f" {name} " in f"{finding.cause} " for finding in findings))

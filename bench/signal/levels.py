@@ -29,7 +29,7 @@ MOST_REVOLUTIONS = 4000
 """That are looked at, in runs evenly spread."""
 IN_CHAIN, LEAST = 3, 6
 """Revolutions in a row that last alike (an edge too many makes two that do), and of all that are looked at, at least."""
-UNLIKE, ENCODER = 0.2, 0.02
+UNLIKE, ENCODER = 0.2, 0.05
 """What tells revolutions badly smears levels to both sides, and no other input rises once in each of them: as wrong
 levels, the logarithm of how often one does; and by how much the encoder is trusted more."""
 IN_A_ROW = 8
