@@ -19,6 +19,7 @@ from bench.findings.thresholds import (
     BLIND_PASSAGES,
     DISPLACED,
     ECCENTRIC,
+    EVEN_MAGNETS,
     LATE_EDGES,
     LEAST_PASSAGES,
     LEFT,
@@ -29,6 +30,7 @@ from bench.findings.thresholds import (
     SINE,
     SURE,
     SWINGING,
+    TOLD_EVEN,
     TOLD_LATE,
     TWICE,
 )
@@ -39,7 +41,7 @@ from bench.signal.waveforms.sectors import NUMERALS
 
 SEEN_BY = (-1, 0, 0, 0, 0, 1)
 """By edge: one magnet passes sensor a, then b, then c, the last of them in the revolution after that of the first."""
-ONCE_A_TURN = "turn the shaft for some whole turns: that tells which edges repeat once a turn"
+ONCE_A_TURN = "turn the shaft for more whole turns, and let the drive know n_p: that tells which repeat once a turn"
 
 
 def places(measured: Measured) -> Iterator[Finding]:
@@ -85,7 +87,8 @@ def magnets(measured: Measured, resolution: float) -> Iterator[Finding]:
         return
     pairs, of_turn = fit.pairs.shape[1], fit.pairs.mean(axis=0)
     of_pair = np.array([np.roll(own, by) for own, by in zip(fit.pairs, SEEN_BY, strict=True)]).mean(axis=0)
-    size = float(np.sqrt(np.mean(fit.pairs**2)))
+    by_chance = float(np.nanmean(fit.jitter**2)) * fit.pairs.size / max(1, fit.passages)
+    size = math.sqrt(max(0.0, float(np.mean(fit.pairs**2)) - by_chance))
     repeats = f"each edge repeats to {degrees(float(np.nanmean(fit.jitter)), 2)} from turn to turn of the shaft"
     worst = int(np.argmax(np.abs(of_pair - np.median(of_pair))))
     alone = float(of_pair[worst] - np.median(of_pair))
@@ -94,12 +97,22 @@ def magnets(measured: Measured, resolution: float) -> Iterator[Finding]:
     uneven = of_turn - 2.0 / pairs * (np.vdot(wave, of_turn) * wave).real
     alike, rest = np.delete(of_pair, worst), max(1, pairs - 3)
     one = abs(alone) > PAIR_OFF and alike.var() * (pairs - 1) / max(1, pairs - 2) <= uneven.var() * pairs / rest
-    if not one and sine > max(ECCENTRIC * pairs, SINE) and uneven.std() < LEFT * of_turn.std():
+    swings = not one and sine > max(ECCENTRIC * pairs, SINE) and uneven.std() < LEFT * of_turn.std()
+    both = f"all edges move by {degrees(sine)} once a turn"
+    if swings and pairs >= TOLD_EVEN and uneven.std() * math.sqrt(pairs / rest) < EVEN_MAGNETS:
         yield Finding(
             "encoder_eccentric",
-            f"the encoder's disc or the magnet ring is eccentric: all edges move by {degrees(sine)} once a turn",
+            f"the encoder's disc or the magnet ring is eccentric: {both}",
             (f"that is {degrees(sine / pairs, 2)} of the shaft; {repeats}",),
             "centre the disc on the shaft, or the ring; what the back-EMF does not follow is the encoder's",
+        )
+        return
+    if swings:
+        yield Finding(
+            "magnet",
+            f"the magnets are uneven, or their ring or the encoder's disc is eccentric: {both}",
+            (f"of {pairs} pole pairs uneven ones may do that by chance; {repeats}",),
+            "look at the disc and the ring with a dial gauge; magnets that are uneven move the back-EMF, too",
         )
         return
     if abs(alone) > PAIR_OFF and pairs > 1:
@@ -180,17 +193,27 @@ def enough(measured: Measured) -> bool:
     return measured.fit is not None and int(measured.fit.n.sum(axis=1).min()) >= least
 
 
+def not_apart(measured: Measured, resolution: float) -> Iterator[str]:
+    """Why edges that scatter say nothing of the sensors: pole pairs differ, and cannot be told apart."""
+    fit = measured.fit
+    if fit is not None and not fit.apart and np.nanmax(fit.jitter, initial=0.0) > math.hypot(SCATTER_ALL, resolution):
+        yield (
+            f"edges scatter by {degrees(float(np.nanmax(fit.jitter)))} rms, as play, a bad sensor or magnets that "
+            f"differ make them: {ONCE_A_TURN}"
+        )
+
+
 def unsteady(measured: Measured, resolution: float) -> Iterator[Finding]:
     """Edges that do not repeat; `resolution`: rad rms that the times and angles are not known to."""
     fit = measured.fit
     if fit is None or not fit.passages or (measured.blind and fit.speed < SWINGING):
         return
-    most = math.hypot(SCATTER if fit.apart else SCATTER_ALL, 1.5 * resolution)
+    most = math.hypot(SCATTER_ALL if measured.blind else SCATTER, 1.5 * resolution)
     far = [
         (float(fit.jitter[k, way]), k, way)
         for k in range(6)
         for way in (0, 1)
-        if fit.n[k, way] > 3 and fit.jitter[k, way] > most
+        if fit.apart and fit.n[k, way] > 3 and fit.jitter[k, way] > most
     ]
     if far:
         worst, k, way = max(far)
@@ -203,8 +226,7 @@ def unsteady(measured: Measured, resolution: float) -> Iterator[Finding]:
                 f"the worst: {edge}, {degrees(worst, 2)} rms over {fit.n[k, way]} passages; times and angles are known "
                 f"to {degrees(resolution, 2)}",
             ),
-            "look for play between magnet and shaft, a sensor at its threshold, and a noisy supply"
-            + ("" if fit.apart else f"; {ONCE_A_TURN}"),
+            "look for play between magnet and shaft, a sensor at its threshold, and a noisy supply",
         )
     elif fit.aside - fit.first_aside > ASIDE * (fit.passages + fit.aside):
         yield Finding(

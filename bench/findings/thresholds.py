@@ -74,8 +74,8 @@ motors the worst is 8.4 deg off, 3.0 rms; the paper's 6.4."""
 SURE = 3.0
 """Standard errors beyond a limit, from which on it is exceeded."""
 SCATTER, SCATTER_ALL = math.radians(2.0), math.radians(4.0)
-"""Jitter from which on an edge is unsteady: four times the hysteresis of good sensors; where pole pairs, which differ
-by 1.4 deg rms in real motors, are not told apart, as much more."""
+"""Jitter from which on an edge is unsteady: four times the hysteresis of good sensors; without an encoder, where a speed
+that swings adds to it, or pole pairs are not told apart, which differ by 1.4 deg rms in real motors, as much more."""
 CLOUDED = 0.3
 """Share of edges far from their places, beyond which nothing more is said of an encoder while inputs are disturbed."""
 HIDDEN = math.radians(5.0)
@@ -93,6 +93,9 @@ ECCENTRIC, SINE = math.radians(0.35), math.radians(4.0)
 LEFT = 0.4
 """Of what edges differ by over a turn of the shaft, that may be left beside a swing once a turn: uneven magnets leave
 more, for any of them have some of it."""
+TOLD_EVEN, EVEN_MAGNETS = 6, math.radians(1.6)
+"""Pole pairs, with fewer of which uneven magnets look like a swing by chance; and what differences of magnets that are
+even leave beside one, rms: 1.4 in real motors."""
 LATE_EDGES, TOLD_LATE = 350e-6, 40e-6
 """s by which edges may come late, unless that is `DISPLACED` at the fastest; and from which on it is told: 66 us
 falling and 150 us rising were measured on e-bikes, 275 us between the two on a hub motor."""

@@ -29,9 +29,11 @@ MOST_REVOLUTIONS = 4000
 """That are looked at, in runs evenly spread."""
 IN_CHAIN, LEAST = 3, 6
 """Revolutions in a row that last alike (an edge too many makes two that do), and of all that are looked at, at least."""
-UNLIKE, ENCODER = 0.2, 0.05
+BY_OTHERS, SEEN_BY_OTHERS = 0.7, 0.3
+"""Of the revolutions by the encoder, that another input must tell, and of what was wrong by it, that it must see."""
+ALL_WRONG, UNLIKE, ENCODER = 0.03, 0.2, 0.05
 """What tells revolutions badly smears levels to both sides, and no other input rises once in each of them: as wrong
-levels, the logarithm of how often one does; and by how much the encoder is trusted more."""
+levels to both, all that are wrong, and the logarithm of how often one does; and by how much the encoder is trusted more."""
 IN_A_ROW = 8
 """Of these, and so many in a row."""
 UNCLEAR = 0.3
@@ -66,21 +68,31 @@ class _Way(NamedTuple):
 
 def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
     """The levels of inputs between edges, in the order of time; None where nothing tells a revolution."""
-    best, least = None, math.inf
+    found: list[tuple[float, int | None, Levels]] = []
     rises = inputs.changes.of(inputs.changes.high)
     at = np.searchsorted(edges.tick, rises.tick)
     for way in _ways(edges, inputs, tick_hz):
         high = _by_revolution(edges, way)
         if high.shape[1] < LEAST:
             continue
-        found = _wrong(high)
+        wrong = _wrong(high)
         n = np.bincount(rises.input[way.known[at]], minlength=3)
         apart = np.abs(np.log((n + 1.0) / (np.abs(way.step).sum() + 1.0)))[np.arange(3) != way.input]
-        unlikely = float(found.share.min(axis=1).sum() + 0.03 * found.share.sum()) + UNLIKE * float(apart.min())
-        unlikely -= ENCODER if way.input is None else 0.0
-        if unlikely < least:
-            best, least = found, unlikely
-    return best if best is not None and np.count_nonzero(best.share.max(axis=1) > 0.5) < 2 else None
+        unlikely = float(wrong.share.min(axis=1).sum() + ALL_WRONG * wrong.share.sum()) + UNLIKE * float(apart.min())
+        found.append((unlikely - (ENCODER if way.input is None else 0.0), way.input, wrong))
+    if not found:
+        return None
+    _, told_by, best = min(found, key=lambda each: each[0])
+    if np.count_nonzero(best.share.max(axis=1) > 0.5) > 1:
+        return None
+    if told_by is None:  # what the encoder does wrong other inputs do not see
+        for number in range(3):
+            others = [f.share[number] for _, by, f in found if by not in (None, number)
+                      and f.revolutions > BY_OTHERS * best.revolutions]  # fmt: skip
+            if others and max(map(max, others)) < SEEN_BY_OTHERS * best.share[number].max():
+                for each in (best.share, best.halves, best.whole):
+                    each[number] = 0
+    return best
 
 
 def _ways(edges: Edges, inputs: Inputs, tick_hz: float) -> Iterator[_Way]:

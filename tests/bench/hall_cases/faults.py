@@ -128,7 +128,7 @@ class Case:
             return "cannot tell"
         if codes - its.right - its.allowed or (its.inputs and any(others_named(its, *one) for one in said)):
             return "wrong"
-        if codes & its.right or (not codes and not self.large):
+        if codes & its.right or (codes <= its.allowed and not self.large):
             return "right"
         return "missed"
 
@@ -553,8 +553,9 @@ def _slipped(rng: np.random.Generator, on: Recording, size: float, after: float)
     there &= (turns % 1.0 > 0.1) & (turns % 1.0 < 0.9)
     when = float(on.t[np.argmax(there)]) if there.any() else after
     count = 360.0 * on.motor.n_p / (4 * its.lines)
-    made = on.encoding(slips=((when, size * float(rng.choice([-1.0, 1.0]))),))
-    allowed = ("encoder_zero",) if size >= 2.0 else ()
+    by = size * float(rng.choice([-1.0, 1.0]))
+    made = on.encoding(slips=((when, by),))
+    allowed = ("encoder_zero",) if size >= 2.0 or abs(its.zero + by) > 2.2 else ()  # then it is off by enough
     early = float(np.ptp(turns[on.t <= when])) < 1.2  # an index pulse that sets an angle of its own looks the same
     unseen = early and not _emf(on) and not _known(on)
     return made, is_("encoder_slipped", allowed=allowed, smallest=max(3.0, 3.0 * count), unseen=unseen)
