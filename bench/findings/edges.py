@@ -30,6 +30,7 @@ from bench.findings.thresholds import (
     SINE,
     SURE,
     SWINGING,
+    TOGETHER,
     TOLD_EVEN,
     TOLD_LATE,
     TWICE,
@@ -193,20 +194,25 @@ def enough(measured: Measured) -> bool:
     return measured.fit is not None and int(measured.fit.n.sum(axis=1).min()) >= least
 
 
-def not_apart(measured: Measured, resolution: float) -> Iterator[str]:
-    """Why edges that scatter say nothing of the sensors: pole pairs differ, and cannot be told apart."""
+def unexplained(measured: Measured, resolution: float) -> Iterator[str]:
+    """Why edges that scatter say nothing of the sensors: pole pairs are not told apart, or all edges move together."""
     fit = measured.fit
-    if fit is not None and not fit.apart and np.nanmax(fit.jitter, initial=0.0) > math.hypot(SCATTER_ALL, resolution):
+    if fit is None:
+        return
+    most, aside = float(np.nanmax(fit.jitter, initial=0.0)), fit.aside - fit.first_aside
+    if fit.together > TOGETHER and (most > math.hypot(SCATTER, resolution) or aside > ASIDE * fit.passages):
         yield (
-            f"edges scatter by {degrees(float(np.nanmax(fit.jitter)))} rms, as play, a bad sensor or magnets that "
-            f"differ make them: {ONCE_A_TURN}"
+            f"edges scatter by {degrees(most)} rms, and {aside} lie far off, all of them alike for a while: "
+            "the encoder slips or loses counts, or the speed changes too fast; turn the shaft evenly, and check again"
         )
+    elif not fit.apart and most > math.hypot(SCATTER_ALL, resolution):
+        yield f"edges scatter by {degrees(most)} rms, as play, a bad sensor or uneven magnets make them: {ONCE_A_TURN}"
 
 
 def unsteady(measured: Measured, resolution: float) -> Iterator[Finding]:
     """Edges that do not repeat; `resolution`: rad rms that the times and angles are not known to."""
     fit = measured.fit
-    if fit is None or not fit.passages or (measured.blind and fit.speed < SWINGING):
+    if fit is None or not fit.passages or fit.together > TOGETHER or (measured.blind and fit.speed < SWINGING):
         return
     most = math.hypot(SCATTER_ALL if measured.blind else SCATTER, 1.5 * resolution)
     far = [

@@ -84,6 +84,8 @@ TWICE = 2.0
 """Times the slow revolutions that the fast ones must be, that edges without an encoder are called late."""
 SWINGING = 10.0 * math.tau
 """Electrical rad/s, below which a speed that swings scatters edges that no encoder measures."""
+TOGETHER = 0.5
+"""How alike passages that follow each other are scattered, beyond which no sensor does it."""
 ASIDE = 0.05
 """Share of edges far from their places, beyond which they do not repeat."""
 PAIR_OFF, PAIRS_OFF = math.radians(6.0), math.radians(3.0)
@@ -93,7 +95,7 @@ ECCENTRIC, SINE = math.radians(0.35), math.radians(4.0)
 LEFT = 0.4
 """Of what edges differ by over a turn of the shaft, that may be left beside a swing once a turn: uneven magnets leave
 more, for any of them have some of it."""
-TOLD_EVEN, EVEN_MAGNETS = 6, math.radians(1.6)
+TOLD_EVEN, EVEN_MAGNETS = 10, math.radians(1.6)
 """Pole pairs, with fewer of which uneven magnets look like a swing by chance; and what differences of magnets that are
 even leave beside one, rms: 1.4 in real motors."""
 LATE_EDGES, TOLD_LATE = 350e-6, 40e-6

@@ -126,6 +126,8 @@ class EdgeFit:
     """Passages that were far from all that,"""
     first_aside: int
     """and how many of them came before all others."""
+    together: float
+    """How much what is left of one passage is like that of the next one, 1 for the same: of sensors it is not."""
     unexplained: float
     """Share of the mean square of edges that delays leave; 1 where none were fitted."""
     speed: float
@@ -507,8 +509,10 @@ def _single(
     trust = np.abs(at.omega) ** (-2.0 * blind)
     each = timed and (_left(at, y, both, 1, 6) < EACH if blind else _apart_late(at, y, both, pair, pairs))
     unexplained = _left(at, y, both, 0, 6 if each else 1) if timed else 1.0
+    moved = [at.tick < step.tick for step in common.steps] + ([at.angle - at.angle.mean()] if common.drift else [])
+    known_moves = np.array(moved, float).reshape(len(moved), len(y)).T  # known to what places and delays leave of them
     for delays, swings in [(6, blind)] * each + [(1, blind), (1, False)] * timed + [(0, False)]:
-        terms = _columns(at, both, delays, swings, blind)
+        terms = np.hstack([_columns(at, both, delays, swings, blind), known_moves])
         weights, left, good, own = _settled(at, y, terms, pair, pairs, trust)
         if blind:
             covariance = _by_stretches(terms[good], left[good], trust[good], at.tick[good] / blind_tick_hz)
@@ -536,9 +540,15 @@ def _single(
     return EdgeFit(
         np.where(met, lies, math.nan), hysteresis, delay, of_edges, delay_sd, jitter.reshape(SECTORS, 2),
         n.reshape(SECTORS, 2), own, apart, common, 0, int(np.count_nonzero(~good)),
-        int(np.argmax(np.append(good, True))), unexplained, float(speed.mean()),
+        int(np.argmax(np.append(good, True))), _together(left), unexplained, float(speed.mean()),
         *(float(np.quantile(speed, share)) for share in (0.05, 0.95)),
     )  # fmt: skip
+
+
+def _together(left: Floats) -> float:
+    """How much each of (m,) rad is like the next one."""
+    left = np.clip(left, -WILD, WILD)
+    return float(left[1:] @ left[:-1] / max(float(left @ left), 1e-12))
 
 
 def _settled(
@@ -554,7 +564,7 @@ def _settled(
     own = np.zeros((SECTORS, pairs))
     for _ in range(3):
         weights, _ = _least_squares(terms[good], (y - own[at.edge, pair])[good], trust[good])
-        left = y - terms @ weights
+        left = wrap(y - terms @ weights)
         if pairs > 1:
             count = np.maximum(np.bincount(slot[good], minlength=SECTORS * pairs), 1)
             mean = np.bincount(slot[good], left[good], minlength=SECTORS * pairs) / count
