@@ -133,7 +133,10 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
         if steady and not jumped and not any(finding.code == "encoder_late" for finding in findings):
             findings += edges.late_edges(measured, time_step(trace))
         findings += edges.unsteady(measured, health.resolution) if steady and not findings else ()
-    thin = [*_thin(turns, measured), *(() if findings or not steady else edges.unexplained(measured, health.resolution))]
+    thin = [
+        *_thin(turns, measured),
+        *(() if findings or not steady else edges.unexplained(measured, health.resolution)),
+    ]
     notes += [*wiring.ring(possible, emf is not None), *_delays(measured, findings)]
     return replace(
         health, findings=tuple(findings), missing=tuple(thin), notes=tuple(notes), emf=emf,

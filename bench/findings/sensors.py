@@ -144,7 +144,8 @@ def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
         one_sided = found.halves[number, 1 - level] <= ONE_SIDED * halves
         lasting = halves >= SELDOM_AWAY and whole + long >= BROKEN
         if not lasting and found.share[number, level] < SHORTLY:  # else what closes shortly returns as well
-            one_sided &= np.count_nonzero(sides[1]) <= 0.5 * max(np.count_nonzero(sides[0]), halves)
+            this, other = (int(np.count_nonzero(side)) for side in sides)
+            one_sided &= other <= 0.5 * max(this, halves)
         if alike or not one_sided or not (lasting or halves >= OFTEN_AWAY):
             continue
         share = percent(float(found.share[number, level]))
@@ -168,9 +169,12 @@ def away(inputs: Inputs) -> Iterator[tuple[str, str]]:
     for number, name in enumerate(INPUTS):
         width = returns.width[(returns.input == number) & ~returns.at_edge]
         if len(width) and width.max() > LONG:
-            yield name, (
-                f"input {name} went away and came back {len(width)} times, for up to {1e3 * width.max():.1f} ms: "
-                f"a contact that opens, or interference; move the wire of sensor {name} while the shaft turns for longer"
+            yield (
+                name,
+                (
+                    f"input {name} went away and came back {len(width)} times, for up to {1e3 * width.max():.1f} ms: "
+                    f"a contact that opens, or interference; turn the shaft for longer, and move the wire of sensor {name}"
+                ),
             )
 
 
@@ -196,7 +200,7 @@ def bounces(inputs: Inputs, found: Pulses, well: str) -> Iterator[Finding]:
 
 
 def false_pulses(found: Pulses, well: str) -> Iterator[Finding]:
-    """Inputs that are back before the shaft can have gone a small part of a sector, anywhere in it; `well`: as before."""
+    """Inputs that are back before the shaft can have gone a small part of a sector; `well`: as before."""
     own = sum(n for name, n in zip(INPUTS, found.by_input, strict=True) if name in well)
     if own < PULSES or found.rate * own / found.n < PULSE_RATE:
         return

@@ -74,12 +74,12 @@ motors the worst is 8.4 deg off, 3.0 rms; the paper's 6.4."""
 SURE = 3.0
 """Standard errors beyond a limit, from which on it is exceeded."""
 SCATTER, SCATTER_ALL = math.radians(2.0), math.radians(4.0)
-"""Jitter from which on an edge is unsteady: four times the hysteresis of good sensors; without an encoder, where a speed
-that swings adds to it, or pole pairs are not told apart, which differ by 1.4 deg rms in real motors, as much more."""
+"""Jitter from which on an edge is unsteady: four times the hysteresis of good sensors; as much more without an encoder,
+where a speed that swings adds to it, or where pole pairs are not told apart: in real motors 1.4 deg rms."""
 CLOUDED = 0.3
 """Share of edges far from their places, beyond which nothing more is said of an encoder while inputs are disturbed."""
 HIDDEN = math.radians(5.0)
-"""rad for each of its edges that an input is away in returns, beyond which likewise: an edge that one covers is late."""
+"""rad for each of its edges that an input is away in returns, beyond which likewise: they cover edges."""
 TWICE = 2.0
 """Times the slow revolutions that the fast ones must be, that edges without an encoder are called late."""
 SWINGING = 10.0 * math.tau

@@ -58,7 +58,9 @@ def delays_of(trace: Trace, measured: Measured | None = None, since: int = 0) ->
         return Delays(math.nan, math.nan)
     edges = measure(trace) if measured is None else measured
     known = edges.delay_half_width < AGREE
-    return Delays(edges.delay if known else math.nan, _by_back_emf(trace, since), edges.delay_by_count if known else 0.0)
+    return Delays(
+        edges.delay if known else math.nan, _by_back_emf(trace, since), edges.delay_by_count if known else 0.0
+    )
 
 
 def _by_back_emf(trace: Trace, since: int) -> float:

@@ -155,7 +155,7 @@ class EdgeFit:
     def sd(self, weights: Floats) -> Floats:
         """Standard errors, rad (k,), of sums of places, or of places and hysteresis, with weights (k, 6) or (k, 12)."""
         known = self.covariance[: weights.shape[1], : weights.shape[1]]
-        errors: Floats = np.sqrt(np.sum(weights @ known * weights, axis=1))
+        errors: Floats = np.sqrt(np.maximum(np.sum(weights @ known * weights, axis=1), 0.0))
         return errors
 
 
@@ -526,7 +526,7 @@ def _single(
     if blind:
         covariance[:SECTORS, :SECTORS] += _unknown(at.omega[good], swings)
     place, hysteresis, delay = _apart(weights, both, delays, blind)
-    delay_sd = _apart(np.sqrt(np.diag(covariance)), both, delays, blind, sign=1.0)[2]
+    delay_sd = _apart(np.sqrt(np.maximum(np.diag(covariance), 0.0)), both, delays, blind, sign=1.0)[2]
     delay_sd = np.hypot(delay_sd, delay * CHANGES * blind)
     known = 2 * SECTORS if both else SECTORS
     of_edges = np.zeros((2 * SECTORS, 2 * SECTORS))

@@ -99,8 +99,8 @@ class Measured:
     delay_half_width: float
     """Of its 95 % confidence interval, s, what the steps of the encoder's angle may add left out:"""
     delay_by_count: float
-    """s, at most: an edge that always lies at one place within a count is off by up to half of it when the shaft is slow,
-    and not when it is fast."""
+    """s, at most: an edge that always lies at one place within a count is off by up to half of it while the shaft is
+    slow, and not while it is fast."""
     outliers: int
     """Passages left out because they lay far from where their edge was fitted."""
     duty: tuple[float, ...]

@@ -23,25 +23,26 @@ BINS = 24
 """Of a revolution."""
 BESIDE = 4
 """Of them on either side of an edge that do not count, 60 deg: no edge was found farther from where it mostly is."""
-STEADY = 1.3
-"""Times the revolution before or after it, that one may last to be told by an input."""
-MOST_REVOLUTIONS = 4000
-"""That are looked at, in runs evenly spread."""
-IN_CHAIN, LEAST = 3, 6
-"""Revolutions in a row that last alike (an edge too many makes two that do), and of all that are looked at, at least."""
-BY_OTHERS, SEEN_BY_OTHERS = 0.7, 0.3
-"""Of the revolutions by the encoder, that another input must tell, and of what was wrong by it, that it must see."""
-ALL_WRONG, UNLIKE, ENCODER = 0.03, 0.2, 0.05
-"""What tells revolutions badly smears levels to both sides, and no other input rises once in each of them: as wrong
-levels to both, all that are wrong, and the logarithm of how often one does; and by how much the encoder is trusted more."""
-IN_A_ROW = 8
-"""Of these, and so many in a row."""
-UNCLEAR = 0.3
-"""Of how clearly inputs mostly follow each other, below which a revolution does not tell which way the shaft turned."""
-FOLLOWS = 0.1
-"""Share of revolutions in which an input has another level in one part than in another, below which it follows none."""
 PARTLY, WHOLLY = 0.02, 0.95
 """Of a half revolution, from which on some of it, and all of it, had the wrong level."""
+FOLLOWS = 0.1
+"""Share of revolutions in which an input has another level in one part than in another, below which it follows none."""
+MOST_REVOLUTIONS, IN_A_ROW = 4000, 8
+"""That are looked at, and how many in a row of them."""
+LEAST = 6
+"""Revolutions with which something tells enough of them."""
+STEADY, IN_CHAIN = 1.3, 3
+"""Times the revolution before it, that one may last to be told by an input, and how many must last so in a row: an edge
+too many makes two that are alike."""
+UNCLEAR = 0.3
+"""Of how clearly inputs mostly follow each other, below which a revolution does not tell which way the shaft turned."""
+ALL_WRONG, UNLIKE = 0.03, 0.2
+"""What tells revolutions badly smears levels to both sides, and no other input rises once in each of them. What all
+wrong levels count, and the logarithm of how often another input rises, against levels that are wrong both ways;"""
+ENCODER = 0.05
+"""and by how much the encoder is trusted more."""
+BY_OTHERS, SEEN_BY_OTHERS = 0.7, 0.3
+"""Of the revolutions by the encoder, that another input must tell, and of what was wrong by it, that it must see."""
 
 
 class Levels(NamedTuple):
@@ -164,15 +165,14 @@ def _turned_alike(high: Floats, run: Ints) -> Floats:
     clear = np.flatnonzero(np.abs(along) > UNCLEAR * float(np.median(np.abs(along))))
     if not len(clear):
         return high[:, :0]
-    after = np.searchsorted(clear, np.arange(len(run)))
-    last, next_ = clear[np.maximum(np.searchsorted(clear, np.arange(len(run)), "right") - 1, 0)], clear[
-        np.minimum(after, len(clear) - 1)
-    ]
-    last, next_ = np.where(run[last] == run, last, next_), np.where(run[next_] == run, next_, last)
+    here = np.arange(len(run))
+    last = clear[np.maximum(np.searchsorted(clear, here, "right") - 1, 0)]
+    after = clear[np.minimum(np.searchsorted(clear, here), len(clear) - 1)]
+    last, after = np.where(run[last] == run, last, after), np.where(run[after] == run, after, last)
     back = along[last] < 0.0
     turned = (2 * round(middle / math.tau * BINS) - 1 - np.arange(BINS)) % BINS
     high[:, back] = high[:, back][:, :, turned]
-    return high[:, (back == (along[next_] < 0.0)) & (run[last] == run)]
+    return high[:, (back == (along[after] < 0.0)) & (run[last] == run)]
 
 
 def _wrong(high: Floats) -> Levels:
