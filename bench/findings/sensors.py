@@ -173,7 +173,7 @@ def away(inputs: Inputs) -> Iterator[tuple[str, str]]:
                 name,
                 (
                     f"input {name} went away and came back {len(width)} times, for up to {1e3 * width.max():.1f} ms: "
-                    f"a contact that opens, or interference; turn the shaft for longer, and move the wire of sensor {name}"
+                    f"a contact that opens, or interference; move wire {name} while the shaft turns for longer"
                 ),
             )
 
