@@ -23,6 +23,7 @@ from bench.findings.thresholds import (
     LATE_EDGES,
     LEAST_PASSAGES,
     LEFT,
+    MOVES,
     PAIR_OFF,
     PAIRS_OFF,
     SCATTER,
@@ -69,7 +70,8 @@ def places(measured: Measured) -> Iterator[Finding]:
                 (f"from the mean of the three: {told} (95 % to {degrees(within, 2)})",),
                 f"move sensor {name} by {degrees(-others)}, or let the drive learn its edges (bench hall learn)",
             )
-        if abs(uneven[number]) - duties[number] > DISPLACED:
+        moves = measured.blind and np.nanmax(fit.jitter[both]) > MOVES * np.nanmedian(fit.jitter)  # with the speed, say
+        if abs(uneven[number]) - duties[number] > DISPLACED and not moves:
             late = ("falling" if uneven[number] > 0.0 else "rising") if at_one_speed else ""
             yield Finding(
                 "duty",

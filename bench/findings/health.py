@@ -26,6 +26,7 @@ from bench.signal import hall_edges, pulses, reference
 from bench.signal.delays import Delays, delays_of
 from bench.signal.hall_edges import Measured
 from bench.signal.hall_inputs import Inputs
+from bench.signal.levels import levels
 from bench.signal.pulses import Pulses
 from bench.signal.reference import BackEmf, Turns
 from bench.signal.trace import INPUTS, SLOW, Trace
@@ -86,10 +87,11 @@ def examine(trace: Trace, further: str = "", still_named: bool = False) -> Healt
         findings: list[Finding] = [*wiring.by_samples(trace)] if still_named else []
     else:
         dead = [*sensors.dead(trace, inputs, covered)]
-        findings = dead or [*sensors.contacts(trace, inputs, codes)]
+        candidates = [] if dead else [*sensors.away(inputs, levels(trace.edges, inputs, trace.tick_hz))]
+        findings = dead or [*sensors.contacts(candidates, codes)]
         broken = bool(findings)
         if dead or not broken:  # a contact that opens makes bounces and pulses
-            away = dict(() if dead else sensors.away(inputs))
+            away = {} if dead else dict(sensors.unsure(inputs, candidates))
             missing += away.values()
             well = "".join(name for name in INPUTS if name not in sensors.named(dead) and name not in away)
             findings += [*sensors.bounces(inputs, found_pulses, well), *sensors.false_pulses(found_pulses, well)]

@@ -6,8 +6,9 @@ Nothing here knows where a sensor stands, or which wire is which (`edges`, `wiri
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from bench.findings.thresholds import (
     LONG,
     OFTEN_AWAY,
     ONE_SIDED,
+    PART,
     PULSE_RATE,
     PULSES,
     SEEN_OF,
@@ -27,8 +29,8 @@ from bench.findings.thresholds import (
     SHORTLY,
     STILL,
 )
-from bench.signal import levels
 from bench.signal.hall_inputs import Inputs
+from bench.signal.levels import MOST_REVOLUTIONS, Levels
 from bench.signal.pulses import Pulses
 from bench.signal.trace import INPUTS, Edges, Trace
 
@@ -124,55 +126,82 @@ def stuck(name: str, level: int) -> tuple[str, str]:
     return f"sensor {name} shorted (always 0)", advice
 
 
-def contacts(trace: Trace, inputs: Inputs, codes: Codes) -> Iterator[Finding]:
-    """Wires that make contact now and then: an input that reads one level where it should read the other.
+class Away(NamedTuple):
+    """An input that reads one level where it should read the other, and hardly ever the other way round."""
 
-    False pulses do that to both levels, last less than `LONG`, and are not in the way of a whole half revolution.
-    """
-    found = levels.levels(trace.edges, inputs, trace.tick_hz)
-    if found is None:
+    name: str
+    level: int
+    halves: int
+    """Half revolutions with a part that is wrong,"""
+    whole: int
+    """and those that are wrong wholly."""
+    other: int
+    """Half revolutions with a part that is wrong the other way round."""
+    share: float
+    """Of the way, that is wrong."""
+    long: int
+    """Returns that lasted longer than a false pulse does."""
+
+    @property
+    def lasting(self) -> bool:
+        """Whether no interference lasts so long so often."""
+        return self.halves >= SELDOM_AWAY and self.whole + self.long >= BROKEN
+
+
+def away(inputs: Inputs, found: Levels | None) -> Iterator[Away]:
+    """Inputs that are away to one level; false pulses lead to both, and last less than `LONG`."""
+    returns = inputs.returns
+    if found is None or found.revolutions < SEEN_OF * min(sum(inputs.turns), MOST_REVOLUTIONS):
         return
-    returns, turns = inputs.returns, sum(inputs.turns)
-    if found.revolutions < SEEN_OF * min(turns, levels.MOST_REVOLUTIONS):
-        return
-    alike = (found.halves.max(axis=1) >= OFTEN_AWAY).all() and not found.whole.any()
     for number, name in enumerate(INPUTS):
         level = int(np.argmax(found.share[number]))
-        halves, whole = int(found.halves[number, level]), int(found.whole[number, level])
-        sides = [(returns.input == number) & (returns.high == bool(way)) for way in (level, 1 - level)]
-        long = int(np.count_nonzero(sides[0] & ~returns.at_edge & (returns.width > LONG)))
-        one_sided = found.halves[number, 1 - level] <= ONE_SIDED * halves
-        lasting = halves >= SELDOM_AWAY and whole + long >= BROKEN
-        if not lasting and found.share[number, level] < SHORTLY:  # else what closes shortly returns as well
-            this, other = (int(np.count_nonzero(side)) for side in sides)
-            one_sided &= other <= 0.5 * max(this, halves)
-        if alike or not one_sided or not (lasting or halves >= OFTEN_AWAY):
+        halves, whole, other = int(found.halves[number, level]), int(found.whole[number, level]), 1 - level
+        there, back = ((returns.input == number) & (returns.high == bool(way)) for way in (level, other))
+        n, n_back = int(np.count_nonzero(there)), int(np.count_nonzero(back))
+        long = int(np.count_nonzero(there & ~returns.at_edge & (returns.width > LONG)))
+        share = float(found.share[number, level])
+        one = Away(name, level, halves, whole, int(found.halves[number, other]), share, long)
+        one_sided = halves > 0 and one.other <= ONE_SIDED * halves
+        if not one.lasting and share < SHORTLY:  # else what closes shortly returns as well
+            one_sided = one_sided and n_back <= 0.5 * max(n, halves)
+        edges_moved = share * found.revolutions < PART * halves and n < 0.5 * halves
+        if one_sided and not edges_moved:
+            yield one
+
+
+def contacts(candidates: Sequence[Away], codes: Codes) -> Iterator[Finding]:
+    """Wires that make contact now and then; of all three alike it is an interference."""
+    if len(candidates) == 3 and not any(one.whole for one in candidates):
+        return
+    for one in candidates:
+        if not one.lasting and one.halves < OFTEN_AWAY:
             continue
-        share = percent(float(found.share[number, level]))
-        whole_too = f", in {whole} of them all the way" if whole else ""
+        whole_too = f", {one.whole} times all the way" if one.whole else ""
+        lasts = one.whole or one.long
         yield Finding(
             "contact",
-            f"the wire of sensor {name} makes intermittent contact",
+            f"the wire of sensor {one.name} makes intermittent contact",
             (
-                f"in {halves} of {found.revolutions} half revolutions it reads {level} where it should read "
-                f"{1 - level}{whole_too}, {share} of the way; in {found.halves[number, 1 - level]} the other way round",
+                f"in {one.halves} half revolutions it reads {one.level} where it should read {1 - one.level}"
+                f"{whole_too}, {percent(one.share)} of the way; in {one.other} the other way round",
                 f"of {codes.edges} edges, {codes.illegal} lead to or from 000 or 111 and {codes.skipped} skip a sector",
-                *(() if whole or long else ("interference to one level only does that too, where a pull-up is weak",)),
+                *(() if lasts else ("interference to one level only does that too, where a pull-up is weak",)),
             ),
-            f"move the connector and the wire of sensor {name} while the shaft turns, and watch this count",
+            f"move the connector and the wire of sensor {one.name} while the shaft turns, and watch this count",
         )
 
 
-def away(inputs: Inputs) -> Iterator[tuple[str, str]]:
-    """Inputs, by name, that went away for longer than a false pulse lasts, too seldom to say why; and that in words."""
-    returns = inputs.returns
+def unsure(inputs: Inputs, candidates: Iterable[Away]) -> Iterator[tuple[str, str]]:
+    """Inputs, by name, that were away for longer than a false pulse lasts, too seldom to say why; and that in words."""
+    returns, lasting = inputs.returns, {one.name for one in candidates if one.whole + one.long}
     for number, name in enumerate(INPUTS):
         width = returns.width[(returns.input == number) & ~returns.at_edge]
-        if len(width) and width.max() > LONG:
+        if name in lasting or (len(width) >= PULSES and width.max() > LONG):
+            most = f", for up to {1e3 * width.max():.1f} ms" if len(width) else ""
             yield (
                 name,
                 (
-                    f"input {name} went away and came back {len(width)} times, for up to {1e3 * width.max():.1f} ms: "
+                    f"input {name} had the wrong level now and then{most}: "
                     f"a contact that opens, or interference; move wire {name} while the shaft turns for longer"
                 ),
             )

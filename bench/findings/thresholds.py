@@ -50,6 +50,9 @@ DEAD_TURNS = 3.0
 OFTEN_AWAY, ONE_SIDED = 8, 0.15
 """Half revolutions in which an input reads one wrong level, and such a share of them the other: eight are so by chance
 once in 128."""
+PART = 0.1
+"""Of a half revolution, that is wrong in the mean of those that are, unless the input is seen to return: else it is an
+edge that lies far off."""
 SEEN_OF, SHORTLY = 0.3, 0.1
 """Of the revolutions by the sectors, with which that is told; and share of the way, up to which all that returns must
 be on that side, too."""
@@ -80,6 +83,8 @@ CLOUDED = 0.3
 """Share of edges far from their places, beyond which nothing more is said of an encoder while inputs are disturbed."""
 HIDDEN = math.radians(5.0)
 """rad for each of its edges that an input is away in returns, beyond which likewise: they cover edges."""
+MOVES = 1.6
+"""Times the jitter of the others, that edges of a sensor scatter which move with the speed, where no encoder tells."""
 TWICE = 2.0
 """Times the slow revolutions that the fast ones must be, that edges without an encoder are called late."""
 SWINGING = 10.0 * math.tau

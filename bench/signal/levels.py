@@ -41,6 +41,8 @@ ALL_WRONG, UNLIKE = 0.03, 0.2
 wrong levels count, and the logarithm of how often another input rises, against levels that are wrong both ways;"""
 ENCODER = 0.05
 """and by how much the encoder is trusted more."""
+SMEARED = 0.15
+"""Share of levels that are wrong both ways, summed over the inputs, beyond which nothing told revolutions well."""
 BY_OTHERS, SEEN_BY_OTHERS = 0.7, 0.3
 """Of the revolutions by the encoder, that another input must tell, and of what was wrong by it, that it must see."""
 
@@ -84,7 +86,7 @@ def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
     if not found:
         return None
     _, told_by, best = min(found, key=lambda each: each[0])
-    if np.count_nonzero(best.share.max(axis=1) > 0.5) > 1:
+    if np.count_nonzero(best.share.max(axis=1) > 0.5) > 1 or best.share.min(axis=1).sum() > SMEARED:
         return None
     if told_by is None:  # what the encoder does wrong other inputs do not see
         for number in range(3):
@@ -154,7 +156,7 @@ def _by_revolution(edges: Edges, way: _Way) -> Floats:
 def _turned_alike(high: Floats, run: Ints) -> Floats:
     """With the parts in one order, where a shaft that turns back shows them the other way round.
 
-    Revolutions in which it turns round are left out.
+    Revolutions in which it turns round are left out, and those beside them.
     """
     wave = np.exp(2j * math.pi * (np.arange(BINS) + 0.5) / BINS)
     sums = high @ wave  # (3, r)
@@ -172,7 +174,10 @@ def _turned_alike(high: Floats, run: Ints) -> Floats:
     back = along[last] < 0.0
     turned = (2 * round(middle / math.tau * BINS) - 1 - np.arange(BINS)) % BINS
     high[:, back] = high[:, back][:, :, turned]
-    return high[:, (back == (along[after] < 0.0)) & (run[last] == run)]
+    turns = np.flatnonzero(back[1:] != back[:-1])
+    known = (back == (along[after] < 0.0)) & (run[last] == run)
+    known[turns] = known[turns + 1] = False
+    return high[:, known]
 
 
 def _wrong(high: Floats) -> Levels:
