@@ -122,24 +122,26 @@ class DescriptorLink(ABC):
         fd = self._require_open()
         if not self._held and not select.select([fd], [], [], max(0.0, timeout))[0]:
             return b""
-        left = max(0.0, settle)
+        until = time.monotonic() + settle
         while True:
-            pause = min(left, SLICE)
-            if pause:
+            pause = min(until - time.monotonic(), SLICE)
+            if pause > 0.0:
                 time.sleep(pause)
-            left -= pause
-            if not self._drain(fd, settle > 0.0) or left <= 0.0:
+            if not self._drain(fd, until + SLICE if settle > 0.0 else 0.0) or time.monotonic() >= until:
                 parts, self._held = self._held, []
                 return parts[0] if len(parts) == 1 else b"".join(parts)
 
-    def _drain(self, fd: int, settled: bool) -> bool:
-        """Hold what has arrived, up to `MAX_READ` in all; False if no more can be taken now."""
+    def _drain(self, fd: int, until: float) -> bool:
+        """Hold what has arrived, up to `MAX_READ` in all; False if no more can be taken now.
+
+        More is not waited for after `until`, s of the monotonic clock: on a busy machine each refill may take 10 ms.
+        """
         while (free := MAX_READ - sum(map(len, self._held))) > 0:
             try:
                 part = os.read(self._fileno(), free)
             except BlockingIOError:
                 # Linux hands a pty's bytes over 4 KiB at a time, from another thread: look whether more comes at once
-                if settled and select.select([fd], [], [], REFILL)[0]:
+                if time.monotonic() < until and select.select([fd], [], [], REFILL)[0]:
                     continue
                 return True
             except OSError as error:
