@@ -134,7 +134,7 @@ class DescriptorLink(ABC):
     def _drain(self, fd: int, until: float) -> bool:
         """Hold what has arrived, up to `MAX_READ` in all; False if no more can be taken now.
 
-        More is not waited for after `until`, s of the monotonic clock: on a busy machine each refill may take 10 ms.
+        More is not waited for after `until`, s of the monotonic clock.
         """
         while (free := MAX_READ - sum(map(len, self._held))) > 0:
             try:
