@@ -18,6 +18,7 @@ from bench.device.node import LOAD
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, RecordingError
 from bench.files import check_output
+from bench.live.distrust import Distrust
 from bench.live.gathered import Gathered
 from bench.live.manoeuvres import Act, timed
 from bench.live.options import WATCHING, LiveOptions
@@ -78,6 +79,7 @@ class LiveRun:
         self.acts: tuple[Act, ...] = ()
         self._stats = RunStatistics(self.node.number)
         self._judge: Plausibility | None = None
+        self._distrust = Distrust(self.node.number, self._distrusted)
         self._gathered = Gathered(())  # what counts and judges
         self._next_progress = 0.0
         self._last_samples = (0, 0.0)
@@ -169,7 +171,7 @@ class LiveRun:
             return names
         short = source_short(source_number(self.options.observer) or 0)
         offered = {channel.name for channel in self.node.descriptor.channels}
-        return (*(names or ()), *(f"+{n}" for n in (f"theta_{short}", f"omega_{short}") if n in offered))
+        return (*(names or ()), *(f"+{n}_{short}" for n in ("theta", "omega", "sensors") if f"{n}_{short}" in offered))
 
     def record(self, stream: StreamConfig) -> None:
         """Read the drive's parameters; prepare what judges, counts, records and shows."""
@@ -190,7 +192,7 @@ class LiveRun:
         triggers = [Condition.parse(text) for text in options.trigger]
         for condition in triggers:
             condition.check([channel.name for channel in (*stream.channels, *added)])
-        watching: list[Sink] = [self._stats, self._judge]
+        watching: list[Sink] = [self._stats, self._judge, self._distrust]
         if triggers:
             watching.append(Triggers(triggers, self.node.number, self._triggered))
         self._gathered = Gathered(watching)
@@ -211,20 +213,27 @@ class LiveRun:
         speed, n_p = max((abs(act.speed_rpm) for act in self.acts), default=0.0), pole_pairs(self.rig.drive.parameters)
         return math.tau / (6.0 * n_p * speed * RPM) if speed and n_p else None
 
+    def _mark(self, name: str, first: int, last: int, verdict: Verdict | None = None) -> float:
+        """Mark the run from tick `first` to `last`, which is returned in s."""
+        if self.rig.outputs is not None:
+            self.rig.outputs.mark(name, first, last, verdict)
+        return last / self.node.identity.tick_hz
+
     def _triggered(self, condition: Condition, tick: int, value: float) -> None:
         """Mark the run where a condition began to hold."""
-        if self.rig.outputs is not None:
-            self.rig.outputs.mark(f"trigger {condition.text}", tick, tick)
-        at = tick / self.node.identity.tick_hz
+        at = self._mark(f"trigger {condition.text}", tick, tick)
         self.client.note(f"trigger {condition.text}: {condition.channel} was {value:.6g} at {at:.3f} s", "WARN")
+
+    def _distrusted(self, sensor: str, tick: int, now: bool) -> None:
+        """Mark the run where the drive began or ceased to distrust a Hall sensor."""
+        words = f"the drive distrusts Hall sensor {sensor}" if now else f"the drive trusts Hall sensor {sensor} again"
+        self.client.note(f"{words}, from {self._mark(words, tick, tick):.3f} s on", "WARN" if now else "INFO")
 
     def _tell_findings(self) -> None:
         """Note what is wrong with the Hall sensors, and mark the run there."""
         assert self._judge is not None
         for found, first, last in self._judge.hall.news():
-            if self.rig.outputs is not None:
-                self.rig.outputs.mark(found.cause, first, last, Verdict.FAIL)
-            at = last / self.node.identity.tick_hz
+            at = self._mark(found.cause, first, last, Verdict.FAIL)
             self.client.note(f"Hall sensors, until {at:.1f} s: {found.line}", "WARN")
 
     # -- the motor ----------------------------------------------------------------------------------------------
@@ -254,6 +263,7 @@ class LiveRun:
         if self.acts:
             summary.outputs = "MAY STILL BE ON" if rig.unsafe else "off, by the drive's heartbeat"
         summary.asked = self._judge.speed.came() if self._judge else []
+        summary.distrusted = self._distrust.shares
         summary.live_view = outputs.viewed()
         with suppress(RecordingError):  # `outputs.failure` tells
             rig.signal.uninterrupted(lambda: outputs.end_recording(as_markdown(summary)))

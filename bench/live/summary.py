@@ -152,6 +152,8 @@ class Summary:
     recording: dict[str, Any] = field(default_factory=dict)
     host_observers: dict[str, int] | None = None
     faults: list[str] = field(default_factory=list)
+    distrusted: dict[str, float] | None = None
+    """By Hall sensor that the drive distrusted, the share of the time; None where it does not tell."""
     bus: dict[str, Any] | None = None
     result: str = "ok"
     asked: list[Came] = field(default_factory=list)
@@ -293,6 +295,9 @@ def run_rows(summary: Summary) -> list[list[str]]:
                 f"{summary.host_observers['different']} of {summary.host_observers['compared']} samples differ",
             ]
         )
+    if summary.distrusted:
+        told = ", ".join(f"{name} for {share:.1%} of the time" for name, share in summary.distrusted.items())
+        rows.append(["Hall sensors that the drive distrusted", told])
     if summary.outputs:
         rows.append(["outputs at the end", summary.outputs])
     rows.append(["faults", ", ".join(summary.faults) or "none"])

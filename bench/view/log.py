@@ -82,7 +82,7 @@ class RunLog:
         self._drive = states.drive_entity(run)
         self._lanes_ns = 0
         self._hall = HallLanes(run)
-        self._returns, self._returns_plot = HallReturns(run.tick_hz), returns(run)
+        self._returns, self._returns_plot = HallReturns(), returns(run)
         self.marks: list[Mark] = []
         self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
         self._device = DeviceCounters()
@@ -247,7 +247,7 @@ class RunLog:
         self._status_lanes(chunk, t_ns)
         self._send_guide(int(t_ns[0]), int(t_ns[-1]))
         self._hall.samples(t_ns, chunk.raw)
-        self._send_returns(chunk.tick, values.get(self.run.position_reference or ""))
+        self._send_returns(chunk)
         self._add_trend(t_ns, values, errors)
         if t_ns[-1] >= self._next_plane_ns:
             self._next_plane_ns = int(t_ns[-1] + PLANE_PERIOD * 1e9)
@@ -266,11 +266,11 @@ class RunLog:
             self._returns.edges(chunk)
             self._last_second.edges(chunk)
 
-    def _send_returns(self, tick: NDArray[np.int64], theta: Values | None) -> None:
-        """Log bounces and pulses of the seconds that have ended with these samples; `theta`: by the encoder."""
+    def _send_returns(self, chunk: SampleChunk) -> None:
+        """Log bounces and pulses of the seconds that have ended with these samples."""
         if self._returns_plot is None:
             return
-        ends, counts = self._returns.samples(tick, theta)
+        ends, counts = self._returns.samples(chunk)
         if len(ends):
             columns = zip(self._returns_plot.lines, counts.T, strict=True)
             values = {line.component: pa.array(count.astype(np.float32)) for line, count in columns}

@@ -111,6 +111,10 @@ class DescriptorLink(ABC):
     def _gone(self, cause: OSError | None) -> LinkClosed:
         """The error that says how this kind of link is lost; `cause` is None at an end of file."""
 
+    def _come(self, fd: int, timeout: float) -> bool:
+        """Whether bytes can be read within `timeout` s. OSError if the link is gone, or True, and the read tells."""
+        return readable(fd, timeout)
+
     def _require_open(self) -> int:
         fd = self._fileno()
         if fd < 0:
@@ -120,27 +124,33 @@ class DescriptorLink(ABC):
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`."""
         fd = self._require_open()
-        if not self._held and not select.select([fd], [], [], max(0.0, timeout))[0]:
-            return b""
-        left = max(0.0, settle)
+        come = self._come if settle > 0.0 else readable
+        try:
+            if not self._held and not come(fd, max(0.0, timeout)):
+                return b""
+        except OSError as error:
+            raise self._gone(error) from None
+        until = time.monotonic() + settle
         while True:
-            pause = min(left, SLICE)
-            if pause:
+            pause = min(until - time.monotonic(), SLICE)
+            if pause > 0.0:
                 time.sleep(pause)
-            left -= pause
-            if not self._drain(fd, settle > 0.0) or left <= 0.0:
+            if not self._drain(fd, until + SLICE if settle > 0.0 else 0.0) or time.monotonic() >= until:
                 parts, self._held = self._held, []
                 return parts[0] if len(parts) == 1 else b"".join(parts)
 
-    def _drain(self, fd: int, settled: bool) -> bool:
-        """Hold what has arrived, up to `MAX_READ` in all; False if no more can be taken now."""
+    def _drain(self, fd: int, until: float) -> bool:
+        """Hold what has arrived, up to `MAX_READ` in all; False if no more can be taken now.
+
+        More is not waited for after `until`, s of the monotonic clock.
+        """
         while (free := MAX_READ - sum(map(len, self._held))) > 0:
             try:
+                # Linux hands a pty's bytes over 4 KiB at a time, from another thread: look whether more comes at once
+                if not self._come(fd, REFILL if time.monotonic() < until else 0.0):
+                    return True
                 part = os.read(self._fileno(), free)
             except BlockingIOError:
-                # Linux hands a pty's bytes over 4 KiB at a time, from another thread: look whether more comes at once
-                if settled and select.select([fd], [], [], REFILL)[0]:
-                    continue
                 return True
             except OSError as error:
                 if self._held:  # the caller gets the tail now and the error at the next read
@@ -172,3 +182,8 @@ class DescriptorLink(ABC):
                     ) from None
             except OSError as error:
                 raise self._gone(error) from None
+
+
+def readable(fd: int, timeout: float) -> bool:
+    """Whether a descriptor can be read within `timeout` s."""
+    return bool(select.select([fd], [], [], timeout)[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +19,9 @@ MADE = Recording(way=Way(((0.0, 240.0), (6.0, 240.0)), ((0.0, 6.0),)), encoder=E
 """24 electrical revolutions a second: each input has 48 edges in one."""
 
 
-def rows(
-    recording: Recording, late: float = 0.0, piece: float = 0.1, encoder: bool = True
-) -> tuple[np.ndarray, np.ndarray]:
+def rows(recording: Recording, late: float = 0.0, piece: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Ends of seconds in s, and counts; edges come `late` s after the samples of their time."""
-    found = HallReturns(recording.tick_hz)
+    found = HallReturns()
     waiting: list[EdgeChunk] = []
     ends, counts = [], []
     for item in pieces(recording.capture(), piece):
@@ -31,16 +30,17 @@ def rows(
             continue
         while waiting and waiting[0].tick[0] + late * recording.tick_hz <= item.tick[-1]:
             found.edges(waiting.pop(0))
-        more = found.samples(item.tick, item.physical("theta_enc") if encoder else None)
+        more = found.samples(item)
         ends.append(more[0] / recording.tick_hz)
         counts.append(more[1])
     return np.concatenate(ends), np.concatenate(counts)
 
 
 @pytest.mark.parametrize(("late", "piece"), [(0.0, 3.0), (0.3, 0.05)])
-@pytest.mark.parametrize("encoder", [True, False])
-def test_each_bounce_is_counted_in_its_second(late: float, piece: float, encoder: bool) -> None:
-    ends, counts = rows(MADE.with_effect(Bounce((1,), 1.0, 1, 50e-6)), late, piece, encoder)
+@pytest.mark.parametrize("seen", [{}, {"encoder": None}, {"decimation": 250}], ids=["encoder", "none", "few samples"])
+def test_each_bounce_is_counted_in_its_second(late: float, piece: float, seen: dict[str, Any]) -> None:
+    """Also of a shaft that turns by a third of a revolution from sample to sample."""
+    ends, counts = rows(MADE.with_effect(Bounce((1,), 1.0, 1, 50e-6)).but(**seen), late, piece)
     assert np.array_equal(ends, np.arange(len(ends)))
     assert len(ends) >= 5
     assert counts[2:5, 1] == pytest.approx(48, abs=1)

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,6 +41,17 @@ def test_read_takes_all_that_has_come(port: PtyPort, link: SerialLink) -> None:
     written = port.write(sent)
     assert link.read(2.0, settle=0.001)[:4000] == sent[:4000]
     assert written <= MAX_READ
+
+
+def test_a_read_ends_in_time_however_much_goes_on_coming(
+    port: PtyPort, link: SerialLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bytes trickle in for a second, never as far apart as a refill is waited for."""
+    monkeypatch.setattr("protocol.links.base.REFILL", 0.2)
+    writer = threading.Thread(target=lambda: [(port.write(b"x"), time.sleep(0.002)) for _ in range(500)])
+    writer.start()
+    assert 1 <= len(link.read(2.0, settle=0.02)) < 250
+    writer.join()
 
 
 def test_an_interrupted_read_loses_nothing(port: PtyPort, link: SerialLink) -> None:

@@ -1,0 +1,81 @@
+"""What `bench live` says of Hall sensors that the drive itself distrusts, against the channel that it streams."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from virtual_run import RecordingScreen, WatchedLink, run, simulated
+
+from bench.device.heard import ClockRestarted
+from bench.live.distrust import CHANNEL, SETTLED, Distrust
+from bench.live.run import LiveOutcome
+from bench.live.summary import run_rows
+from bench.record.reader import Run
+from bench.signal.chunks import part
+
+PATIENT = {"firmware__protection__hall_fault_time": 1.0, "firmware__protection__hall_fault_count": 1000}
+DEAD_B = {"faults__hall__contact_open": [0.0, 0.999, 0.0], "faults__hall__contact_stretch": 1.0}
+FOR_A_SECOND = {"faults__begin": 2.0, "faults__end": 3.0}
+LOOSE_B = {"faults__hall__contact_open": [0.0, 0.3, 0.0], "faults__begin": 2.0}
+AT = re.compile(r"(the drive (?:distrusts|trusts) Hall sensor ([abc])(?: again)?), from (\d+\.\d+) s on")
+
+
+def words_of(path: Path, settings: dict[str, Any], **options: Any) -> tuple[LiveOutcome, list[re.Match[str]], Run]:
+    screen = RecordingScreen()
+    options = {"observer": "edge-kalman", "duration": 5.5} | options
+    ended = run(WatchedLink(simulated(**settings)), screen=screen, save=path, **options)
+    return ended, [found for note in screen.notes if (found := AT.fullmatch(note))], Run(path)
+
+
+def test_a_sensor_that_is_dead_for_a_second_is_named_and_so_is_that_it_came_back(tmp_path: Path) -> None:
+    ended, said, recording = words_of(tmp_path / "a.run", PATIENT | DEAD_B | FOR_A_SECOND)
+    samples, hz = recording.samples, recording.info.tick_hz
+    untrusted = samples.raw[CHANNEL] == 0b010
+    first, last = samples.tick[np.flatnonzero(untrusted)[[0, -1]]].tolist()
+    words = ["the drive distrusts Hall sensor b", "the drive trusts Hall sensor b again"]
+    assert [found[1] for found in said] == words
+    assert [float(found[3]) for found in said] == pytest.approx([first / hz, last / hz], abs=1e-3)
+    assert 2.0 < first / hz < 2.2
+    assert 3.0 < last / hz < 3.3
+    marks = [(mark.name, mark.first_tick, mark.verdict) for mark in recording.marks if "trusts" in mark.name]
+    assert marks == list(zip(words, (first, last), (None, None), strict=True))
+    assert ended.summary.distrusted == {"b": pytest.approx(untrusted.mean(), abs=1e-3)}
+    row = f"b for {ended.summary.distrusted['b']:.1%} of the time"
+    assert ["Hall sensors that the drive distrusted", row] in run_rows(ended.summary)
+    assert "trust" not in ended.summary.result  # that is the verdict of who judges its edges
+
+    anew: list[object] = []
+    distrust = Distrust(1, lambda *told: anew.append(told))
+    half = int(np.searchsorted(samples.tick, (first + last) // 2))
+    for item in (part(samples, 0, half), ClockRestarted(1, 0), part(samples, 0, 1000)):
+        distrust.take(item)
+    assert anew == [("b", first, True)]  # it has booted since, and trusts all three
+
+
+def test_a_drive_that_trips_distrusts_the_dead_sensor_to_the_end(tmp_path: Path) -> None:
+    ended, said, _ = words_of(tmp_path / "a.run", DEAD_B | {"faults__begin": 1.0}, duration=3.0)
+    assert [found[1] for found in said] == ["the drive distrusts Hall sensor b"]
+    assert ended.summary.result.startswith("the drive tripped: HALL")
+    assert ended.summary.distrusted["b"] > 0.5
+
+
+def test_of_a_loose_contact_little_is_said(tmp_path: Path) -> None:
+    """The channel changes much more often than a person would read."""
+    _, said, recording = words_of(tmp_path / "a.run", PATIENT | LOOSE_B, speed_rpm=2000.0, duration=8.0)
+    assert np.count_nonzero(np.diff(recording.samples.raw[CHANNEL])) > 2 * len(said)
+    for sensor in "abc":
+        told = [(found[1].endswith("again"), float(found[3])) for found in said if found[2] == sensor]
+        assert [again for again, _ in told] == [bool(k % 2) for k in range(len(told))]
+        assert (np.diff([at for _, at in told])[1::2] >= SETTLED).all()
+
+
+def test_of_a_healthy_drive_and_of_one_that_does_not_tell_nothing_is_said(tmp_path: Path) -> None:
+    for observer, shares in (("edge-kalman", {}), ("encoder", None)):
+        ended, said, recording = words_of(tmp_path / f"{observer}.run", {}, observer=observer, duration=2.0)
+        assert (said, ended.summary.distrusted, ended.exit_code) == ([], shares, 0)
+        assert not [row for row in run_rows(ended.summary) if "distrusted" in row[0]]
+        assert (CHANNEL in recording.samples.raw.dtype.names) == (shares is not None)
