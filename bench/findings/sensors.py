@@ -29,7 +29,7 @@ from bench.findings.thresholds import (
     SHORTLY,
     STILL,
 )
-from bench.signal.hall_inputs import Inputs
+from bench.signal.hall_inputs import STOPPED, Inputs
 from bench.signal.levels import MOST_REVOLUTIONS, Levels
 from bench.signal.pulses import Pulses
 from bench.signal.trace import INPUTS, Edges, Trace
@@ -101,8 +101,12 @@ def _gone(inputs: Inputs, edges: Edges, last: int, until: int | None = None) -> 
     The most within a stretch: between stretches there may have been edges that were not kept.
     """
     behind = len(edges.tick) if until is None else until + 1
-    theta, stretch = edges.theta[last:behind] / (math.tau * inputs.ratio), edges.stretch[last:behind]
-    known = np.isfinite(theta)
+    turns = abs(inputs.ratio) > STOPPED
+    theta, stretch = (
+        edges.theta[last:behind] / (math.tau * (inputs.ratio if turns else 1.0)),
+        edges.stretch[last:behind],
+    )
+    known = np.isfinite(theta) & turns
     if known.any():
         return _farthest(theta[known], stretch[known])
     net = inputs.net
