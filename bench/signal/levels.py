@@ -71,6 +71,8 @@ class _Way(NamedTuple):
 
 def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
     """The levels of inputs between edges, in the order of time; None where nothing tells a revolution."""
+    if len(edges.tick) < 2:
+        return None
     found: list[tuple[float, int | None, Levels]] = []
     rises = inputs.changes.of(inputs.changes.high)
     at = np.searchsorted(edges.tick, rises.tick)
@@ -134,8 +136,8 @@ def _by_revolution(edges: Edges, way: _Way) -> Floats:
     known, step = way.known, way.step
     gone = np.abs(step)
     path = np.concatenate([[0.0], np.cumsum(gone)[:-1]])
-    forth = np.where(known, step >= 0.0, False)
-    ahead = np.append(known[:-1] & (known[1:] & (forth[1:] == forth[:-1])), False)  # goes on after the next edge
+    forth = known & (step >= 0.0)
+    ahead = np.append(known[:-1] & known[1:] & (forth[1:] == forth[:-1]), False)  # goes on after the next edge
     starts = np.flatnonzero(known & ~np.insert(ahead[:-1], 0, False))
     ends = np.flatnonzero(known & ~ahead) + 1
     lo, hi = (f(way.place[starts], way.place[ends]) for f in (np.minimum, np.maximum))
