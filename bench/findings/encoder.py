@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from bench.findings.finding import Finding, degrees, percent
 from bench.findings.thresholds import (
     BACKWARDS,
     BEATS,
     CLOUDED,
     DISPLACED,
+    DRIFTS,
     MOST_LATE,
     NEAR_ONE,
     NO_HYSTERESIS,
@@ -55,7 +58,7 @@ def zero(emf: BackEmf | None) -> Iterator[Finding]:
         )
         return
     off = ahead(emf)
-    if abs(off) > ZERO:
+    if abs(off) - np.nan_to_num(emf.spread) > ZERO:
         yield Finding(
             "encoder_zero",
             f"the encoder's zero is {degrees(off)} off",
@@ -119,6 +122,9 @@ def lines(measured: Measured, fit: EdgeFit, turns: Turns, large: list[Step]) -> 
         return
     fits = n_p * factor
     repeats = f"the ratio is steady to {percent(scatter)}, and edges repeat with it"
+    if round(fits) == n_p:
+        yield Finding("encoder_slips", "the encoder goes ahead of the shaft, or falls back", (counted, repeats), SLIPS)
+        return
     if abs(fits - round(fits)) < WHOLE * max(1.0, fits / 10.0) and round(fits) >= 1:
         yield Finding(
             "pole_pairs",
@@ -159,7 +165,9 @@ def index_came(
     return step if abs(wrapped(after)) <= max(abs(wrapped(after - step.size)), within) else None
 
 
-def slipped(measured: Measured, fit: EdgeFit, large: list[Step], index: Step | None, least: float) -> Iterator[Finding]:
+def slipped(
+    measured: Measured, fit: EdgeFit, large: list[Step], index: Step | None, least: float, n_p: int | None
+) -> Iterator[Finding]:
     """Its jumps but for that of the index, and counts that get lost; `least`: what `harms`."""
     tick_hz = measured.tick_hz
     if len(large) >= OFTEN:
@@ -182,7 +190,8 @@ def slipped(measured: Measured, fit: EdgeFit, large: list[Step], index: Step | N
             ),
             "look for a loose disc or coupling, or counts lost at that moment; the Hall sensors did not move",
         )
-    if fit.common.drifted > least:
+    a_turn = measured.inputs.reach < DRIFTS * (n_p or 1)  # a disc may swing as well
+    if fit.common.drifted > least and not a_turn:
         yield Finding(
             "encoder_drifts",
             f"the encoder drifts from the sectors by {degrees(fit.common.drift, 2)} a revolution (electrical)",

@@ -25,7 +25,7 @@ from bench.findings.wiring import Diagnosis, diagnose
 from bench.signal import hall_edges, pulses, reference
 from bench.signal.delays import Delays, delays_of
 from bench.signal.hall_edges import Measured
-from bench.signal.hall_inputs import Inputs
+from bench.signal.hall_inputs import UNSURE, Inputs
 from bench.signal.levels import levels
 from bench.signal.pulses import Pulses
 from bench.signal.reference import BackEmf, Turns
@@ -109,7 +109,8 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     measured, turns, fit = health.measured, health.turns, health.measured.fit
     if fit is None:
         return replace(health, missing=("no edges were passed at a speed that is known: turn the shaft on in one way",))
-    if not steady and (fit.aside > CLOUDED * (fit.passages + fit.aside) or measured.inputs.away > HIDDEN):
+    clouded = fit.aside > CLOUDED * (fit.passages + fit.aside) or measured.inputs.scatter > UNSURE
+    if not steady and (clouded or measured.inputs.away > HIDDEN):
         return replace(health, missing=("what disturbs the inputs hides where their edges lie: mend that first",))
     least = encoder.harms(health.resolution)
     jumps = [step for step in fit.common.steps if abs(step.size) >= least]
@@ -118,7 +119,7 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     since = max((step.tick for step in fit.common.steps), default=0)
     emf, declared = reference.back_emf(trace, since), trace.parameters.get("hall_offset")
     index = encoder.index_came(measured, jumps, turns, declared, emf)
-    jumped = list(encoder.slipped(measured, fit, jumps, index, least))
+    jumped = list(encoder.slipped(measured, fit, jumps, index, least, turns.n_p))
     delays = delays_of(trace, measured, since)
     findings: list[Finding] = [*jumped, *(() if jumped else encoder.zero(emf))]
     notes: list[Finding] = []

@@ -18,6 +18,7 @@ from bench.findings.thresholds import (
     BOUNCES,
     BROKEN,
     DEAD_TURNS,
+    FEW_LONG,
     LONG,
     OFTEN_AWAY,
     ONE_SIDED,
@@ -197,10 +198,13 @@ def contacts(candidates: Sequence[Away], codes: Codes) -> Iterator[Finding]:
 
 def unsure(inputs: Inputs, candidates: Iterable[Away]) -> Iterator[tuple[str, str]]:
     """Inputs, by name, that were away for longer than a false pulse lasts, too seldom to say why; and that in words."""
-    returns, lasting = inputs.returns, {one.name for one in candidates if one.whole + one.long}
+    returns = inputs.returns
+    one_sided = {one.name for one in candidates if one.whole + one.long or one.halves >= PULSES}
+    n = int(np.count_nonzero(~returns.at_edge))
     for number, name in enumerate(INPUTS):
         width = returns.width[(returns.input == number) & ~returns.at_edge]
-        if name in lasting or (len(width) >= PULSES and width.max() > LONG):
+        long = len(width) > 0 and width.max() > (LONG if n >= OFTEN_AWAY else FEW_LONG)
+        if name in one_sided or (long and n >= PULSES):
             most = f", for up to {1e3 * width.max():.1f} ms" if len(width) else ""
             yield (
                 name,

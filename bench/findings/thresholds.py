@@ -58,8 +58,8 @@ SEEN_OF, SHORTLY = 0.3, 0.1
 be on that side, too."""
 SELDOM_AWAY, BROKEN = 4, 2
 """Half revolutions with which that is told as well, where so many are wrong wholly, or the input is away for `LONG`."""
-LONG = 5e-3
-"""s, longer than a false pulse lasts."""
+LONG, FEW_LONG = 5e-3, 1e-3
+"""s, longer than a false pulse lasts; of fewer returns than `OFTEN_AWAY`, than one surely lasts."""
 PULSES, PULSE_RATE = 3, 0.1
 """False pulses, in all and in a second, that are a fault: fewer come from switching a lamp."""
 BOUNCES = 0.005
@@ -109,6 +109,8 @@ falling and 150 us rising were measured on e-bikes, 275 us between the two on a 
 BEATS = 2.0 * math.sqrt(3.0)
 """Times the resolution of edges, rms, that a jump must be: a step of the times, from end to end, for they stay at one
 while the speed beats with it."""
+DRIFTS = 1.5
+"""Turns of the shaft, with which a drift is told from what comes once a turn."""
 OFTEN = 3
 """Jumps of all edges together, from which on the encoder slips again and again."""
 MOST_LATE = 3e-3

@@ -555,7 +555,9 @@ def _slipped(rng: np.random.Generator, on: Recording, size: float, after: float)
     count = 360.0 * on.motor.n_p / (4 * its.lines)
     by = size * float(rng.choice([-1.0, 1.0]))
     made = on.encoding(slips=((when, by),))
-    allowed = ("encoder_zero",) if size >= 2.0 or abs(its.zero + by) > 2.2 else ()  # then it is off by enough
+    allowed = ["encoder_zero"] if size >= 2.0 or abs(its.zero + by) > 2.2 else []  # then it is off by enough
+    if size > 9.0 and _known(on) and not _emf(on):  # as an encoder's zero that is off is told
+        allowed += ["hall_setting", "wiring"]
     early = float(np.ptp(turns[on.t <= when])) < 1.2  # an index pulse that sets an angle of its own looks the same
     unseen = early and not _emf(on) and not _known(on)
     return made, is_("encoder_slipped", allowed=allowed, smallest=max(3.0, 3.0 * count), unseen=unseen)
