@@ -93,7 +93,7 @@ def examine(trace: Trace, further: str = "", still_named: bool = False) -> Healt
         if dead or not broken:  # a contact that opens makes bounces and pulses
             away = {} if dead else dict(sensors.unsure(inputs, candidates))
             missing += away.values()
-            well = "".join(name for name in INPUTS if name not in sensors.named(dead) and name not in away)
+            well = "" if away else "".join(name for name in INPUTS if name not in sensors.named(dead))
             findings += [*sensors.bounces(inputs, found_pulses, well), *sensors.false_pulses(found_pulses, well)]
         if not broken:
             by_encoder = trace.encoder and not math.isnan(inputs.ratio)

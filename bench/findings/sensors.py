@@ -20,6 +20,7 @@ from bench.findings.thresholds import (
     DEAD_TURNS,
     FEW_LONG,
     LONG,
+    MANY,
     OFTEN_AWAY,
     ONE_SIDED,
     PART,
@@ -203,7 +204,7 @@ def unsure(inputs: Inputs, candidates: Iterable[Away]) -> Iterator[tuple[str, st
     n = int(np.count_nonzero(~returns.at_edge))
     for number, name in enumerate(INPUTS):
         width = returns.width[(returns.input == number) & ~returns.at_edge]
-        long = len(width) > 0 and width.max() > (LONG if n >= OFTEN_AWAY else FEW_LONG)
+        long = len(width) > 0 and width.max() > (LONG if n >= MANY else FEW_LONG)
         if name in one_sided or (long and n >= PULSES):
             most = f", for up to {1e3 * width.max():.1f} ms" if len(width) else ""
             yield (

@@ -58,8 +58,8 @@ SEEN_OF, SHORTLY = 0.3, 0.1
 be on that side, too."""
 SELDOM_AWAY, BROKEN = 4, 2
 """Half revolutions with which that is told as well, where so many are wrong wholly, or the input is away for `LONG`."""
-LONG, FEW_LONG = 5e-3, 1e-3
-"""s, longer than a false pulse lasts; of fewer returns than `OFTEN_AWAY`, than one surely lasts."""
+LONG, FEW_LONG, MANY = 5e-3, 1e-3, 16
+"""s, longer than a false pulse lasts; and than one surely lasts, where there are fewer returns than so many."""
 PULSES, PULSE_RATE = 3, 0.1
 """False pulses, in all and in a second, that are a fault: fewer come from switching a lamp."""
 BOUNCES = 0.005

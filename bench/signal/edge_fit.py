@@ -611,7 +611,7 @@ def _apart_late(at: _Passages, y: Floats, both: bool, pair: Ints, pairs: int) ->
     kind = 2 * at.edge + (at.up < 0)
     terms = _columns(at, both, SECTORS, False, False)
     weights, left, good, _ = _settled(at, y, terms, pair, pairs, np.ones(len(y)))
-    error = np.sqrt(np.diag(_by_kind(terms[good], left[good], kind[good])))[-SECTORS:]
+    error = np.sqrt(np.maximum(np.diag(_by_kind(terms[good], left[good], kind[good])), 0.0))[-SECTORS:]
     delay = weights[-SECTORS:]
     sure = 1.0 / np.maximum(error, 1e-9) ** 2
     return bool((np.abs(delay - np.sum(delay * sure) / np.sum(sure)) > UNLIKE * error).any())
