@@ -15,18 +15,22 @@ from numpy.typing import NDArray
 
 from bench.findings.finding import Finding, percent
 from bench.findings.thresholds import (
+    BESIDES,
     BOUNCES,
     BROKEN,
+    CLEAN,
     DEAD_TURNS,
     FEW_LONG,
     LONG,
     MANY,
     OFTEN_AWAY,
+    OFTENER,
     ONE_SIDED,
     PART,
     PULSE_RATE,
     PULSES,
     SEEN_OF,
+    SELDOM,
     SELDOM_AWAY,
     SHORTLY,
     STILL,
@@ -157,7 +161,10 @@ class Away(NamedTuple):
 def away(inputs: Inputs, found: Levels | None) -> Iterator[Away]:
     """Inputs that are away to one level; false pulses lead to both, and last less than `LONG`."""
     returns = inputs.returns
-    if found is None or found.revolutions < SEEN_OF * min(sum(inputs.turns), MOST_REVOLUTIONS):
+    if found is None:
+        return
+    few = found.revolutions < SEEN_OF * min(sum(inputs.turns), MOST_REVOLUTIONS)
+    if few and found.share.min(axis=1).sum() > CLEAN:
         return
     for number, name in enumerate(INPUTS):
         level = int(np.argmax(found.share[number]))
@@ -167,7 +174,7 @@ def away(inputs: Inputs, found: Levels | None) -> Iterator[Away]:
         long = int(np.count_nonzero(there & ~returns.at_edge & (returns.width > LONG)))
         share = float(found.share[number, level])
         one = Away(name, level, halves, whole, int(found.halves[number, other]), share, long)
-        one_sided = halves > 0 and one.other <= ONE_SIDED * halves
+        one_sided = halves > 0 and one.other <= ONE_SIDED * halves and share > BESIDES * found.share.max()
         if not one.lasting and share < SHORTLY:  # else what closes shortly returns as well
             one_sided = one_sided and n_back <= 0.5 * max(n, halves)
         edges_moved = share * found.revolutions < PART * halves and n < 0.5 * halves
@@ -201,11 +208,12 @@ def unsure(inputs: Inputs, candidates: Iterable[Away]) -> Iterator[tuple[str, st
     """Inputs, by name, that were away for longer than a false pulse lasts, too seldom to say why; and that in words."""
     returns = inputs.returns
     one_sided = {one.name for one in candidates if one.whole + one.long or one.halves >= PULSES}
-    n = int(np.count_nonzero(~returns.at_edge))
+    n, changes = int(np.count_nonzero(~returns.at_edge)), _changes(inputs)
     for number, name in enumerate(INPUTS):
         width = returns.width[(returns.input == number) & ~returns.at_edge]
         long = len(width) > 0 and width.max() > (LONG if n >= MANY else FEW_LONG)
-        if name in one_sided or (long and n >= PULSES):
+        seldom = changes[number] < min(SELDOM * np.median(changes), np.median(changes) - OFTEN_AWAY)
+        if name in one_sided or (long and n >= PULSES) or (seldom and n):
             most = f", for up to {1e3 * width.max():.1f} ms" if len(width) else ""
             yield (
                 name,
@@ -220,9 +228,10 @@ def bounces(inputs: Inputs, found: Pulses, well: str) -> Iterator[Finding]:
     """Inputs that change more than once at an edge; `well`: those of which it is asked."""
     ratio = f"{abs(inputs.ratio):.3f} electrical revolutions by the encoder for each by the sectors, returns left out"
     agrees = () if math.isnan(inputs.ratio) else (ratio,)
+    changes = _changes(inputs)
     for number, name in enumerate(INPUTS):
-        n, edges = found.bounces[number], int(np.count_nonzero(inputs.changes.input == number))
-        if n < PULSES or n < BOUNCES * edges or name not in well:
+        n, edges = found.bounces[number], int(changes[number])
+        if edges > OFTENER * np.median(changes) or n < PULSES or n < BOUNCES * edges or name not in well:
             continue
         middle, widest = (1e6 * width for width in found.bounce_width)
         yield Finding(
@@ -259,6 +268,11 @@ def false_pulses(found: Pulses, well: str) -> Iterator[Finding]:
         tuple(evidence),
         "route the Hall wires away from the phases, shield or twist them, add a filter of some microseconds",
     )
+
+
+def _changes(inputs: Inputs) -> NDArray[np.int64]:
+    """(3,) how often each input changed for good."""
+    return np.bincount(inputs.changes.input, minlength=3)
 
 
 def named(findings: Iterable[Finding]) -> str:

@@ -53,9 +53,12 @@ once in 128."""
 PART = 0.1
 """Of a half revolution, that is wrong in the mean of those that are, unless the input is seen to return: else it is an
 edge that lies far off."""
-SEEN_OF, SHORTLY = 0.3, 0.1
-"""Of the revolutions by the sectors, with which that is told; and share of the way, up to which all that returns must
-be on that side, too."""
+SEEN_OF, CLEAN = 0.3, 0.02
+"""Of the revolutions by the sectors, with which that is told, or with fewer where so little is wrong both ways."""
+SHORTLY, BESIDES = 0.1, 0.4
+"""Share of the way, up to which all that returns must be on that side, too; and of the input that is away the most."""
+SELDOM, OFTENER = 0.8, 1.5
+"""Of the changes of the input in the middle, below which one misses some, and above which they are not all edges."""
 SELDOM_AWAY, BROKEN = 4, 2
 """Half revolutions with which that is told as well, where so many are wrong wholly, or the input is away for `LONG`."""
 LONG, FEW_LONG, MANY = 5e-3, 1e-3, 16
