@@ -547,8 +547,8 @@ def _single(
 
 def _together(left: Floats) -> float:
     """How much each of (m,) rad is like the next one."""
-    left = np.clip(left, -WILD, WILD)
-    return float(left[1:] @ left[:-1] / max(float(left @ left), 1e-12))
+    off = np.exp(1j * left) - 1.0
+    return float(np.vdot(off[1:], off[:-1]).real / max(float(np.vdot(off, off).real), 1e-12))
 
 
 def _settled(
