@@ -1,9 +1,9 @@
 """Puts faults of Hall sensors, made by formula, before the judge of `bench hall check`; makes docs/hall-faults.md.
 
-python docs/make_hall_faults.py [--quick] [--only FAULT] [--case NAME] [--healthy N] [--live] [--wrong N]
+python docs/make_hall_faults.py [--quick] [--only FAULT] [--first N] [--case NAME] [--healthy N] [--live] [--wrong N]
 
 Without options: all faults, sizes, motors and speeds, 5 seeds each, and the page is written. --quick: one seed each;
---only: faults with this in their name; --case: one case, with all that was said; --healthy: N drives that nothing is
+--only: faults with this in their name; --first: seeds from N on, for cases that nobody has looked at; --case: one case, with all that was said; --healthy: N drives that nothing is
 wrong with instead; --live: before the judge of `bench live`, piece by piece; --wrong: how many wrong verdicts of each
 fault and size are shown. Only a whole run, without options, writes the page.
 """
@@ -177,6 +177,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--only", default="")
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--case", default="")
     parser.add_argument("--healthy", type=int, default=0)
     parser.add_argument("--live", action="store_true")
@@ -194,7 +195,7 @@ def main() -> None:
         if asked.healthy:
             results = pool.map(try_healthy, [(seed, asked.live) for seed in range(asked.healthy)], 4)
         else:
-            chosen = cases(asked.only, asked.quick)
+            chosen = cases(asked.only, asked.quick, first=asked.first)
             results = pool.map(try_case, [(case, asked.live) for case in chosen], 8)
     shown: Counter[str] = Counter()
     for result in results:
