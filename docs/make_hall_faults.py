@@ -3,9 +3,10 @@
 python docs/make_hall_faults.py [--quick] [--only FAULT] [--first N] [--case NAME] [--healthy N] [--live] [--wrong N]
 
 Without options: all faults, sizes, motors and speeds, 5 seeds each, and the page is written. --quick: one seed each;
---only: faults with this in their name; --first: seeds from N on, for cases that nobody has looked at; --case: one case, with all that was said; --healthy: N drives that nothing is
-wrong with instead; --live: before the judge of `bench live`, piece by piece; --wrong: how many wrong verdicts of each
-fault and size are shown. Only a whole run, without options, writes the page.
+--only: faults with this in their name; --first: seeds from N on, of cases that nobody has looked at; --case: one case,
+with all that was said; --healthy: N drives that nothing is wrong with instead; --live: before the judge of `bench
+live`, piece by piece; --wrong: how many wrong verdicts of each fault and size are shown. Only a whole run, without
+options, writes the page.
 """
 
 from __future__ import annotations
