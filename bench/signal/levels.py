@@ -36,9 +36,10 @@ STEADY, IN_CHAIN = 1.3, 3
 too many makes two that are alike."""
 UNCLEAR = 0.3
 """Of how clearly inputs mostly follow each other, below which a revolution does not tell which way the shaft turned."""
-ALL_WRONG, UNLIKE = 0.03, 0.2
-"""What tells revolutions badly smears levels to both sides, and no other input rises once in each of them. What all
-wrong levels count, and the logarithm of how often another input rises, against levels that are wrong both ways;"""
+ALL_WRONG, UNLIKE, MISSES = 0.03, 0.2, 0.2
+"""What tells revolutions badly smears levels to both sides, no other input rises once in each of them, and some are
+missing. What all wrong levels count, the logarithm of how often another input rises, and the share of revolutions that
+are missing, against levels that are wrong both ways;"""
 ENCODER = 0.05
 """and by how much the encoder is trusted more."""
 SMEARED = 0.15
@@ -87,7 +88,8 @@ def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
         found.append((unlikely - (ENCODER if way.input is None else 0.0), way.input, wrong))
     if not found:
         return None
-    _, told_by, best = min(found, key=lambda each: each[0])
+    most = max(wrong.revolutions for _, _, wrong in found)
+    _, told_by, best = min(found, key=lambda each: each[0] - MISSES * each[2].revolutions / most)
     if np.count_nonzero(best.share.max(axis=1) > 0.5) > 1 or best.share.min(axis=1).sum() > SMEARED:
         return None
     if told_by is None:  # what the encoder does wrong other inputs do not see
