@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bench.findings.finding import Finding, percent
 from bench.findings.thresholds import (
+    AS_OFTEN,
     BESIDES,
     BOUNCES,
     BROKEN,
@@ -176,8 +177,8 @@ def away(inputs: Inputs, found: Levels | None) -> Iterator[Away]:
         one = Away(name, level, halves, whole, int(found.halves[number, other]), share, long)
         one_sided = halves > 0 and one.other <= ONE_SIDED * halves and share > BESIDES * found.share.max()
         if not one.lasting and share < SHORTLY:  # else what closes shortly returns as well
-            one_sided = one_sided and n_back <= 0.5 * max(n, halves)
-        edges_moved = share * found.revolutions < PART * halves and n < 0.5 * halves
+            one_sided = one_sided and n_back <= AS_OFTEN * max(n, halves)
+        edges_moved = share * found.revolutions < PART * halves and n < AS_OFTEN * halves
         if one_sided and not edges_moved:
             yield one
 
@@ -215,13 +216,8 @@ def unsure(inputs: Inputs, candidates: Iterable[Away]) -> Iterator[tuple[str, st
         seldom = changes[number] < min(SELDOM * np.median(changes), np.median(changes) - OFTEN_AWAY)
         if name in one_sided or (long and n >= PULSES) or (seldom and n):
             most = f", for up to {1e3 * width.max():.1f} ms" if len(width) else ""
-            yield (
-                name,
-                (
-                    f"input {name} had the wrong level now and then{most}: "
-                    f"a contact that opens, or interference; move wire {name} while the shaft turns for longer"
-                ),
-            )
+            words = f"input {name} had the wrong level now and then{most}: a contact that opens, or interference"
+            yield name, f"{words}; move wire {name} while the shaft turns for longer"
 
 
 def bounces(inputs: Inputs, found: Pulses, well: str) -> Iterator[Finding]:

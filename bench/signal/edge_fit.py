@@ -510,7 +510,7 @@ def _single(
     each = timed and (_left(at, y, both, 1, 6) < EACH if blind else _apart_late(at, y, both, pair, pairs))
     unexplained = _left(at, y, both, 0, 6 if each else 1) if timed else 1.0
     moved = [at.tick < step.tick for step in common.steps] + ([at.angle - at.angle.mean()] if common.drift else [])
-    known_moves = np.array(moved, float).reshape(len(moved), len(y)).T  # known to what places and delays leave of them
+    known_moves = np.array(moved, float).reshape(len(moved), len(y)).T  # fitted again beside places and delays
     for delays, swings in [(6, blind)] * each + [(1, blind), (1, False)] * timed + [(0, False)]:
         terms = np.hstack([_columns(at, both, delays, swings, blind), known_moves])
         weights, left, good, own = _settled(at, y, terms, pair, pairs, trust)

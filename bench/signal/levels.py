@@ -154,7 +154,11 @@ def _by_revolution(edges: Edges, way: _Way) -> Floats:
     for number in range(3):
         behind = np.concatenate([[0.0], np.cumsum(gone * (edges.new >> number & 1))[:-1]])
         high[number] = np.abs(np.diff(np.interp(at, path, behind), axis=1)) * BINS
-    return high if way.input is None or not len(run) else _turned_alike(high, run)
+    if way.input is None:
+        return high
+    constant = ((high < 1e-6) | (high > 1.0 - 1e-6)).all(axis=2).sum(axis=0)
+    moves = constant < 2  # else one input alone changes: it bounces
+    return _turned_alike(high[:, moves], run[moves]) if moves.any() else high[:, moves]
 
 
 def _turned_alike(high: Floats, run: Ints) -> Floats:

@@ -13,6 +13,7 @@ from bench.hall.trace import trace
 from bench.signal import hall_inputs
 from bench.signal.levels import Levels, levels
 from tests.bench.hall_cases.drives import MOTORS, around, drawn, healthy, top_rpm
+from tests.bench.hall_cases.faults import cases
 from tests.bench.hall_cases.recording import Contact, Recording
 from tests.bench.hall_cases.shaft import check
 from tests.choice import chosen
@@ -79,3 +80,11 @@ def test_a_delay_is_known_as_well_as_is_said_even_with_a_coarse_encoder():
             off.append(abs(measured.delay) / (measured.delay_half_width + measured.delay_by_count))
     assert len(off) > 6
     assert np.mean(np.array(off) <= 1.0) >= 0.8, off  # 95 % of them, of a dozen
+
+
+def test_an_input_that_bounces_without_an_encoder_is_no_bad_contact():
+    """Edges that return three times look like revolutions in which nothing else moves."""
+    bouncing = [case for case in cases("bounce_some", seeds=30) if not case.encoder]
+    for case in chosen("bounces, blind", bouncing, 8):
+        codes = {finding.code for finding in examine(trace(case.recording.capture())).findings}
+        assert "contact" not in codes, case.name
