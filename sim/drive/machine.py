@@ -101,7 +101,10 @@ class SimulatedBench:
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
         self._load_state = int(DriveState.IDLE)
         self._reset = False
-        self._edges_per_period = 3 + math.ceil(_FASTEST * params.motor.n_p * 3.0 / math.pi / params.clock.pwm_hz)
+        inputs = _input(params)
+        bounces = 1 + 2 * inputs.bounce_returns if any(inputs.bounce) else 1
+        edges_per_period = 3 + math.ceil(_FASTEST * params.motor.n_p * 3.0 / math.pi / params.clock.pwm_hz)
+        self._edges_per_period = bounces * edges_per_period + 2.0 * inputs.busy / params.clock.pwm_hz  # twice the mean
         self._pulse_edges_per_period = 2 * math.ceil(1.0 / (hall_wiring.PULSE_MIN * params.clock.pwm_hz))
         self._edges, self._wire, self._flags = Cells(Edge, 0), Cells(tick.WireEdge, 0), Cells(np.uint8, 0)
         self._count = Cells(int)
@@ -297,12 +300,13 @@ class SimulatedBench:
             begin = 0
             while begin < n:
                 if self.n in self._moments:
-                    self._switch(self._moments[self.n])
+                    self._switch(self._moments.pop(self.n))
                 source, upto = (self._source_before, waits) if begin < waits else (self._source, n)
                 end = min(upto, begin + PORTION)
                 if self._warming:
                     end = min(end, begin + warming.EVERY - self.n % warming.EVERY)
-                end = min([end, *(begin + at - self.n for at in self._moments if at > self.n)])
+                for at in self._moments:
+                    end = min(end, begin + at - self.n)
                 self._run(source, n, block, begin, end)
                 begin = end
         m = count[0]
@@ -325,7 +329,8 @@ class SimulatedBench:
         }
         control = self._observers.get(source)
         bench = self._params.at, self._state.at, self._inputs.at, self._command.at, self._quantiles.at
-        into = at + 8 * begin * ROW, self._samples.at, self._edges.at, self._wire.at, len(self._edges), self._count.at
+        log = self._edges.at, self._wire.at, self._edges.array.size, self._count.at
+        into = at + 8 * begin * ROW, self._samples.at, *log
         by = control.loop(found[source]) if control else (0, 0, 0, 0, 0)
         tick.advance(*bench, end - begin, reset, *into, *by)
         for other, observing in self._observers.items():
@@ -344,13 +349,10 @@ class SimulatedBench:
     def _room(self, n: int) -> None:
         """Room for the edges of n periods, and their flags."""
         disturbed = self.load_parameters["hall_glitch"] > 0.0
-        settings = _input(self.params)
-        bounces = 1 + 2 * settings.bounce_returns if any(settings.bounce) else 1
-        room = (self._edges_per_period * bounces + (self._pulse_edges_per_period if disturbed else 0)) * n
-        room += 100 + math.ceil(2.0 * settings.busy * n / self.params.clock.pwm_hz)  # twice the mean, and some
-        if room > len(self._edges):
+        room = 100 + math.ceil((self._edges_per_period + (self._pulse_edges_per_period if disturbed else 0)) * n)
+        if room > self._edges.array.size:
             self._edges, self._wire = Cells(Edge, room), Cells(tick.WireEdge, room)
-        if n > len(self._flags):
+        if n > self._flags.array.size:
             self._flags = Cells(np.uint8, n)
 
 
