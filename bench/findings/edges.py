@@ -207,8 +207,11 @@ def unexplained(measured: Measured, resolution: float) -> Iterator[str]:
             f"edges scatter by {degrees(most)} rms, and {aside} lie far off, all of them alike for a while: "
             "the encoder slips or loses counts, or the speed changes too fast; turn the shaft evenly, and check again"
         )
-    elif not fit.apart and most > math.hypot(SCATTER_ALL, resolution):
-        yield f"edges scatter by {degrees(most)} rms, as play, a bad sensor or uneven magnets make them: {ONCE_A_TURN}"
+    elif not fit.apart and (most > math.hypot(SCATTER_ALL, resolution) or aside > ASIDE * (fit.passages + fit.aside)):
+        yield (
+            f"edges scatter by {degrees(most)} rms, and {aside} lie far off, as play, a bad sensor or uneven magnets "
+            f"make them: {ONCE_A_TURN}"
+        )
 
 
 def unsteady(measured: Measured, resolution: float) -> Iterator[Finding]:
@@ -236,7 +239,7 @@ def unsteady(measured: Measured, resolution: float) -> Iterator[Finding]:
             ),
             "look for play between magnet and shaft, a sensor at its threshold, and a noisy supply",
         )
-    elif fit.aside - fit.first_aside > ASIDE * (fit.passages + fit.aside):
+    elif fit.apart and fit.aside - fit.first_aside > ASIDE * (fit.passages + fit.aside):
         yield Finding(
             "unsteady",
             f"{percent(fit.aside / (fit.passages + fit.aside))} of the edges lie far from their places",

@@ -18,6 +18,8 @@ from bench.findings.thresholds import (
     CLOUDED,
     DISPLACED,
     DRIFTS,
+    LATE,
+    LATE_EDGES,
     MOST_LATE,
     NEAR_ONE,
     NO_HYSTERESIS,
@@ -25,7 +27,9 @@ from bench.findings.thresholds import (
     SET,
     SLIPPED,
     SURE,
+    WANDERS,
     WHOLE,
+    WITH_EACH,
     ZERO,
 )
 from bench.signal.edge_fit import MOST_STEPS, EdgeFit, Step
@@ -38,6 +42,7 @@ TELL = "record u_alpha, u_beta, i_a and i_b while the drive turns the motor: its
 BY_HAND = (
     "turn the shaft by one revolution by hand: theta_enc then passes n_p electrical revolutions, if its lines are right"
 )
+WAYS = "turn the shaft forward, in reverse and forward again, at two speeds: that tells which"
 SLIPS = "look for a slipping coupling, a loose disc, and lost counts"
 
 
@@ -87,10 +92,12 @@ def harms(resolution: float) -> float:
     return max(SLIPPED, BEATS * resolution)
 
 
-def lines(measured: Measured, fit: EdgeFit, turns: Turns, large: list[Step]) -> Iterator[Finding]:
+def lines(
+    measured: Measured, fit: EdgeFit, turns: Turns, large: list[Step], least: float, even: bool
+) -> Iterator[Finding]:
     """Encoder and sectors that do not turn alike: pole pairs, lines, or an encoder that slips all the time.
 
-    `large`: its jumps that harm.
+    `large`: its jumps that harm, being more than `least`; `even`: whether no input disturbs the edges.
     """
     per_hall, scatter, n_p = measured.inputs.ratio, measured.inputs.scatter, turns.n_p
     counted = (
@@ -104,13 +111,19 @@ def lines(measured: Measured, fit: EdgeFit, turns: Turns, large: list[Step]) -> 
     steady = (as_it_is or scatter < UNSURE) and fit.aside < CLOUDED * (fit.passages + fit.aside)
     precise = abs(measured.scale) / (1.0 - fit.common.drift / math.tau)
     like = abs(precise - 1.0) < NEAR_ONE
-    if steady and like and len(large) <= MOST_STEPS:
+    together = max(WANDERS * least, WITH_EACH * math.sqrt(float(np.nanmean(fit.jitter**2))))
+    wanders = even and (fit.common.astray >= OFTEN or fit.common.scatter > together)
+    if steady and like and len(large) <= MOST_STEPS and not wanders:
         return
     if not steady or like:
         yield Finding(
             "encoder_slips",
             "the encoder does not follow the shaft: it goes ahead and falls back again and again",
-            (counted, f"from revolution to revolution that scatters by {percent(scatter)}"),
+            (
+                counted,
+                f"from revolution to revolution that scatters by {percent(scatter)}, and all edges together by "
+                f"{degrees(fit.common.scatter)} rms",
+            ),
             SLIPS,
         )
         return
@@ -141,13 +154,13 @@ def lines(measured: Measured, fit: EdgeFit, turns: Turns, large: list[Step]) -> 
     )
 
 
-def index_came(
+def first_turn(
     measured: Measured, large: list[Step], turns: Turns, declared: float | None, emf: BackEmf | None
-) -> Step | None:
-    """The one jump within the first turn of the shaft, which an index pulse makes; None where there is none.
+) -> tuple[Step, bool] | None:
+    """The one jump within the first turn of the shaft, and whether an index pulse surely made it; None where none did.
 
-    Nor is it one where the angle was right before it: by the back-EMF `emf` after it, or by the ring, which the drive
-    takes to stand at `declared`.
+    An index pulse puts right an angle that was wrong, a slip puts wrong one that was right: by the back-EMF `emf` after
+    it, or by the ring, which the drive takes to stand at `declared`.
     """
     net = measured.inputs.net
     if len(large) != 1 or turns.n_p is None:
@@ -161,8 +174,9 @@ def index_came(
     elif declared is not None:
         after, within = measured.ring - declared, SET
     else:
-        return step
-    return step if abs(wrapped(after)) <= max(abs(wrapped(after - step.size)), within) else None
+        return step, False
+    well, was_well = (abs(wrapped(off)) <= within for off in (after, after - step.size))
+    return None if was_well and not well else (step, well and not was_well)
 
 
 def slipped(
@@ -204,28 +218,55 @@ def slipped(
 
 def _between(measured: Measured, fit: EdgeFit) -> Iterator[Finding]:
     """All edges apart by the direction: no sensor's hysteresis is so large, or below zero."""
-    both, sure = float(fit.hysteresis.mean()), SURE * float(fit.hysteresis_sd.max())
-    if not (both < BACKWARDS - sure or both > NO_HYSTERESIS + sure):
+    both, late = _by_way(measured, fit)
+    if not both or late < (LATE if both < 0.0 else LATE_EDGES):
         return
-    timed, late = not math.isnan(measured.delay), abs(both) / (2.0 * fit.speed)
     slip = f"the encoder slipped by {degrees(both)} (electrical) between the two directions"
-    why = "no sensor has a hysteresis below zero" if both < 0.0 else "sensors that are well have 0.2 to 2 deg"
     code, cause = "encoder_slipped", slip
-    if not timed and late < MOST_LATE:
+    if late < MOST_LATE:
         code = "encoder_late" if both < 0.0 else "late_edges"
         cause = f"edges come {1e6 * late:.0f} us {'late' if both > 0.0 else 'before the encoder'}, or {slip}"
-    yield Finding(
-        code,
-        cause,
-        (f"passed forward, all edges lie {degrees(both)} later than in reverse: {why}",),
-        "turn the shaft forward, in reverse and forward again, at two speeds: that tells which",
-    )
+    why = "no sensor has a hysteresis below zero" if both < 0.0 else "sensors that are well have 0.2 to 2 deg"
+    yield Finding(code, cause, (f"passed forward, all edges lie {degrees(both)} later than in reverse: {why}",), WAYS)
+
+
+def slip_or_late(measured: Measured, fit: EdgeFit) -> Iterator[str]:
+    """All edges apart by the direction, as a delay that does no harm makes them, or a slip."""
+    both, late = _by_way(measured, fit)
+    if both and late < (LATE if both < 0.0 else LATE_EDGES):
+        yield (
+            f"passed forward, all edges lie {degrees(both)} later than in reverse: they come {1e6 * late:.0f} us "
+            f"{'late' if both > 0.0 else 'early'}, or the encoder slipped; {WAYS}"
+        )
+
+
+def _by_way(measured: Measured, fit: EdgeFit) -> tuple[float, float]:
+    """rad by which all edges lie later forward than in reverse, 0 where sensors do so; and s that they then are late.
+
+    inf where the delay is known, and taken out.
+    """
+    both, sure = float(fit.hysteresis.mean()), SURE * float(fit.hysteresis_sd.max())
+    if not (both < BACKWARDS - sure or both > NO_HYSTERESIS + sure):
+        return 0.0, 0.0
+    return both, abs(both) / (2.0 * fit.speed) if math.isnan(measured.delay) else math.inf
 
 
 def index_note(index: Step, tick_hz: float) -> Finding:
-    """A jump within the first turn of the shaft is what an index pulse does: a note, no fault."""
+    """An index pulse came: a note, no fault."""
     return Finding(
         "index",
-        f"theta_enc jumped by {degrees(index.size)} at {index.tick / tick_hz:.2f} s, in the first turn of the shaft: "
-        "the index pulse came (or the encoder slipped); what was before is measured by what came after",
+        f"theta_enc jumped by {_jump(index, tick_hz)}: the index pulse came; what was before is measured by what came "
+        "after",
     )
+
+
+def index_or_slip(step: Step, tick_hz: float) -> str:
+    """A jump that the index pulse may have made as well as a slip."""
+    return (
+        f"theta_enc jumped by {_jump(step, tick_hz)}: the index pulse came, or the encoder slipped; check again "
+        "without switching the drive off: an index comes once"
+    )
+
+
+def _jump(step: Step, tick_hz: float) -> str:
+    return f"{degrees(step.size)} at {step.tick / tick_hz:.2f} s, in the first turn of the shaft"

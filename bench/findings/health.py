@@ -114,17 +114,17 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
         return replace(health, missing=("what disturbs the inputs hides where their edges lie: mend that first",))
     least = encoder.harms(health.resolution)
     jumps = [step for step in fit.common.steps if abs(step.size) >= least]
-    if contradicting := list(encoder.lines(measured, fit, turns, jumps)):
+    if contradicting := list(encoder.lines(measured, fit, turns, jumps, least, steady)):
         return replace(health, findings=tuple(contradicting))
     since = max((step.tick for step in fit.common.steps), default=0)
     emf, declared = reference.back_emf(trace, since), trace.parameters.get("hall_offset")
-    index = encoder.index_came(measured, jumps, turns, declared, emf)
-    jumped = list(encoder.slipped(measured, fit, jumps, index, least, turns.n_p))
+    first, sure = encoder.first_turn(measured, jumps, turns, declared, emf) or (None, False)
+    jumped = list(encoder.slipped(measured, fit, jumps, first, least, turns.n_p))
     delays = delays_of(trace, measured, since)
     findings: list[Finding] = [*jumped, *(() if jumped else encoder.zero(emf))]
     notes: list[Finding] = []
-    if index is not None:
-        notes.append(encoder.index_note(index, trace.tick_hz))
+    if first is not None and sure:
+        notes.append(encoder.index_note(first, trace.tick_hz))
     possible = wiring.possible(measured, emf)
     if not jumped:
         findings += late.late(delays, _fastest(trace))
@@ -137,6 +137,8 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
             findings += edges.late_edges(measured, time_step(trace))
         findings += edges.unsteady(measured, health.resolution) if steady and not findings else ()
     thin = [
+        *(() if first is None or sure else (encoder.index_or_slip(first, trace.tick_hz),)),
+        *(() if jumps else encoder.slip_or_late(measured, fit)),
         *_thin(turns, measured),
         *(() if findings or not steady else edges.unexplained(measured, health.resolution)),
     ]

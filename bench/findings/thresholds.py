@@ -124,6 +124,9 @@ NEAR_ONE = 0.004
 """Of the ratio of encoder to sectors, that a drift may come to: more is lines, or pole pairs."""
 SLIPPED = math.radians(1.5)
 """rad by which all edges may jump, or drift in all: what is less does no harm, and is taken out."""
+WANDERS, WITH_EACH = 2.0, 0.8
+"""Times the least jump that is a slip, and of what each edge scatters, that all edges of a revolution may scatter
+together, rms: the mean of six that scatter each by themselves does so by 0.41 of it."""
 NO_HYSTERESIS, BACKWARDS = math.radians(6.0), math.radians(-1.5)
 """rad of hysteresis in the mean of all edges, above which, and below which, it is none."""
 

@@ -11,6 +11,7 @@ sign. Nothing here knows what is right.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -38,8 +39,8 @@ USUAL = math.radians(1.0)
 """rad of hysteresis that sensors have: 0.2 to 2 deg."""
 LEAST_REACH = 3
 """Revolutions between the farthest places of the shaft, with which what all edges do is looked for."""
-LEAST_SIDE, WHOLE = 2, 4
-"""Revolutions on either side of a step, and edges that each must have."""
+LEAST_BEHIND, WHOLE = 2, 4
+"""Revolutions after a step, and edges that each must have; before it one will do: an index pulse comes soon."""
 FAR = 6.0
 """Times the scatter,"""
 LEAST_FAR = math.radians(1.5)
@@ -81,6 +82,15 @@ class Step(NamedTuple):
     """rad, by which `theta_enc` went ahead."""
 
 
+class _Jump(NamedTuple):
+    """Of all revolutions of one direction from one on."""
+
+    at: int
+    """The first that is wholly after it."""
+    within: bool
+    """Whether it came within the one before, else between the two."""
+
+
 @dataclass(frozen=True)
 class Common:
     """What all edges do together, by the encoder."""
@@ -92,9 +102,11 @@ class Common:
     """rad between the farthest places that it drifted to."""
     scatter: float
     """rad, of the mean of a revolution, that nothing explains."""
+    astray: int
+    """How often one, or some in a row, were far from that."""
 
 
-NOTHING = Common((), 0.0, 0.0, math.nan)
+NOTHING = Common((), 0.0, 0.0, math.nan, 0)
 
 
 @dataclass(frozen=True)
@@ -201,7 +213,7 @@ def _some(at: _Passages) -> _Passages:
 def _of_their_own(at: _Passages, found: EdgeFit, pair: Ints) -> Floats:
     """By how much each passage is off, rad, because its edge is not like the others."""
     places = wrap(found.place - SECTOR_WIDTH * np.arange(SECTORS))
-    own: Floats = wrap(places - np.angle(np.exp(1j * places).mean()))[at.edge]
+    own: Floats = wrap(places - np.angle(np.nanmean(np.exp(1j * places))))[at.edge]
     own = own + found.pairs[at.edge, pair] - found.pairs.mean(axis=0)[pair]
     for values, by in ((found.hysteresis, 0.5 * at.up), (found.delay.ravel(), at.omega)):
         if np.isfinite(values).all():
@@ -331,10 +343,9 @@ def _common(at: _Passages, number: Ints, pairs: int) -> tuple[Common, Floats]:
     y = np.unwrap(of_turn[used])
     base = _base(mean["up"], mean["omega"], pair[first], pairs if len(y) >= VISITS * pairs else 1)
     steps, drift = _steps_and_drift(y, base, mean["angle"])
-    steps = [k for k in steps if k - 1 not in steps and k - 2 not in steps]  # one within a revolution looks like two
     if len(steps) == 1:
         steps = [_likelier(steps[0], base, y, mean["up"])]
-    terms = [base, *([mean["angle"][:, None]] if drift else []), *(_after(k, len(y))[:, None] for k in steps)]
+    terms = [base, *([mean["angle"][:, None]] if drift else []), _jumps(steps, len(y))]
     weights, left = _least_squares(np.hstack(terms), y)
     rest = weights[base.shape[1] :]
     moved, drifted, slope = np.zeros(len(turn)), 0.0, 0.0
@@ -343,28 +354,32 @@ def _common(at: _Passages, number: Ints, pairs: int) -> tuple[Common, Floats]:
         drifted = abs(slope) * float(np.ptp(mean["angle"]))
         moved += slope * (at.angle - float(at.angle[0]))
     found = []
-    for k, size in zip(steps, rest[1 if drift else 0 :], strict=True):
+    for (k, _), size in zip(steps, rest[1 if drift else 0 :], strict=False):
         tick = _moment(at, turn, np.flatnonzero(used)[max(k - 1, 0)], of_turn[used][max(k - 2, 0)], float(size))
         found.append(Step(tick, float(size)))
         moved -= size * (at.tick < tick)  # against what follows: an index pulse makes it right
-    scatter = float(np.sqrt(np.sum(left**2) / max(1, len(y) - len(weights))))
-    return Common(tuple(sorted(found)), slope * math.tau, drifted, scatter), moved
+    for _ in range(10):  # the sum of what is left, not of its squares, so that one revolution does not spoil the others
+        left = _least_squares(np.hstack(terms), y, 1.0 / np.maximum(np.abs(left), MODEL))[1]
+    scatter = 1.4826 * float(np.median(np.abs(left))) * math.sqrt(len(y) / max(1, len(y) - len(weights)))
+    astray = np.abs(left) > max(FAR * scatter, LEAST_FAR)
+    times = int(np.count_nonzero(astray & ~np.insert(astray[:-1], 0, False)))
+    return Common(tuple(sorted(found)), slope * math.tau, drifted, scatter, times), moved
 
 
-def _likelier(step: int, base: Floats, y: Floats, up: Floats) -> int:
+def _likelier(step: _Jump, base: Floats, y: Floats, up: Floats) -> _Jump:
     """The step, or one at another reversal that explains as much and leaves a hysteresis that sensors rather have.
 
     With forward, reverse and forward again a step at the first reversal differs from one at the second in nothing else.
     """
     turned = np.flatnonzero(np.diff(up)) + 1
-    if len(turned) < 2 or np.abs(turned - step).min() > 1:
+    if len(turned) < 2 or np.abs(turned - step.at).min() > 1:
         return step
     of_way = [np.array_equal(column, 0.5 * up) for column in base.T].index(True)
     found = []
-    for k in (step, *turned[np.abs(turned - step) > 1].tolist()):
-        weights, left = _least_squares(np.hstack([base, _after(k, len(y))[:, None]]), y)
+    for k in (step, *(_Jump(k, False) for k in turned[np.abs(turned - step.at) > 1].tolist())):
+        weights, left = _least_squares(np.hstack([base, _jumps([k], len(y))]), y)
         found.append((float(left @ left), abs(float(weights[of_way]) - USUAL), k))
-    return int(min((unusual, k) for rest, unusual, k in found if rest <= 1.5 * found[0][0])[1])
+    return min((unusual, k) for rest, unusual, k in found if rest <= 1.5 * found[0][0])[1]
 
 
 def _moment(at: _Passages, turn: Ints, revolution: int, before: float, size: float) -> int:
@@ -419,9 +434,9 @@ def varied(omega: Floats, kind: Ints | Floats) -> bool:
     return bool(off.std() > SPREAD * math.sqrt(float(np.mean(size**2))))
 
 
-def _steps_and_drift(y: Floats, base: Floats, angle: Floats) -> tuple[list[int], bool]:
+def _steps_and_drift(y: Floats, base: Floats, angle: Floats) -> tuple[list[_Jump], bool]:
     """Between which revolutions the level jumps, and whether it drifts: what explains most comes first."""
-    steps: list[int] = []
+    steps: list[_Jump] = []
     drift, n = False, len(y)
     terms = base
     while len(steps) < MOST_STEPS + 1:
@@ -431,27 +446,36 @@ def _steps_and_drift(y: Floats, base: Floats, angle: Floats) -> tuple[list[int],
             break
         gain, size = _gain_of_steps(terms, left)
         k = int(np.argmax(gain))
-        best, column = float(gain[k]), _after(k, n)
-        large = abs(size[k]) > STEP
+        best, large, drifts = float(gain[k]), abs(size[k]) > STEP, False
         if not drift:
             other = _least_squares(terms, angle)[1]
             square = float(other @ other)
             slope = float(other @ left) / square if square > 0.05 * n * float(np.var(angle)) else 0.0
             if slope * slope * square > best:
-                best, column, k = slope * slope * square, angle, -1
+                best, drifts = slope * slope * square, True
                 large = abs(slope) * float(np.ptp(angle)) > DRIFT
         after = max(float(left @ left) - best, 1e-12)
         if not large or best < BEYOND * after / freedom:
             break
-        if k < 0:
+        if drifts:
             drift = True
         else:
-            steps.append(k)
-        terms = np.hstack([terms, column[:, None]])
-    columns = [base, *([angle[:, None]] if drift else []), *(_after(k, n)[:, None] for k in steps)]
-    weights, left = _least_squares(np.hstack(columns), y)
+            steps.append(_best_jump(k, terms, y, freedom))
+        terms = np.hstack([base, *([angle[:, None]] if drift else []), _jumps(steps, n)])
+    weights, left = _least_squares(terms, y)
     least = ABOVE * math.sqrt(float(left @ left) / max(1, n - len(weights)))
-    return [k for k, size in zip(steps, weights[len(weights) - len(steps) :], strict=True) if abs(size) > least], drift
+    sizes = weights[base.shape[1] + drift :]
+    return [step for step, size in zip(steps, sizes, strict=False) if abs(size) > least], drift
+
+
+def _best_jump(k: int, terms: Floats, y: Floats, freedom: int) -> _Jump:
+    """The jump before revolution k, unless one within this revolution, or the one before, explains much more."""
+    found = [
+        (float(np.square(_least_squares(np.hstack([terms, _jumps([jump], len(y))]), y)[1]).sum()), jump)
+        for jump in (_Jump(k, False), _Jump(k, True), _Jump(k + 1, True))
+    ]
+    rest, within = min(found[1:])
+    return within if found[0][0] > (1.0 + BEYOND / freedom) * rest else found[0][1]
 
 
 def _gain_of_steps(terms: Floats, left: Floats) -> tuple[Floats, Floats]:
@@ -462,13 +486,16 @@ def _gain_of_steps(terms: Floats, left: Floats) -> tuple[Floats, Floats]:
     square = np.arange(n, 0, -1) - np.sum(behind**2, axis=1)
     along = np.cumsum(left[::-1])[::-1]
     free = square > 0.05 * np.minimum(np.arange(n), np.arange(n, 0, -1))
-    free[:LEAST_SIDE] = free[n - LEAST_SIDE + 1 :] = False
+    free[0] = free[n - LEAST_BEHIND + 1 :] = False
     size = np.where(free, along / np.where(free, square, 1.0), 0.0)
     return size * size * np.where(free, square, 0.0), size
 
 
-def _after(k: int, n: int) -> Floats:
-    return (np.arange(n) >= k).astype(np.float64)
+def _jumps(steps: Sequence[_Jump], n: int) -> Floats:
+    """Columns of jumps (n,), and then of the revolutions within which they came, whose own level lies in between."""
+    after = [np.arange(n) >= step.at for step in steps]
+    within = [np.arange(n) == step.at - 1 for step in steps if step.within]
+    return np.array([*after, *within], np.float64).reshape(-1, n).T
 
 
 def _least_squares(terms: Floats, y: Floats, trust: Floats | float = 1.0) -> tuple[Floats, Floats]:
