@@ -196,28 +196,37 @@ def enough(measured: Measured) -> bool:
     return measured.fit is not None and int(measured.fit.n.sum(axis=1).min()) >= least
 
 
-def unexplained(measured: Measured, resolution: float) -> Iterator[str]:
-    """Why edges that scatter say nothing of the sensors: pole pairs are not told apart, or all edges move together."""
-    fit = measured.fit
-    if fit is None:
-        return
-    most, aside = float(np.nanmax(fit.jitter, initial=0.0)), fit.aside - fit.first_aside
+def adrift(fit: EdgeFit, resolution: float) -> Iterator[str]:
+    """Why edges say nothing of the sensors: they all scatter together."""
+    most, aside = _scatter(fit)
     if fit.together > TOGETHER and (most > math.hypot(SCATTER, resolution) or aside > ASIDE * fit.passages):
         yield (
             f"edges scatter by {degrees(most)} rms, and {aside} lie far off, all of them alike for a while: "
             "the encoder slips or loses counts, or the speed changes too fast; turn the shaft evenly, and check again"
         )
-    elif not fit.apart and (most > math.hypot(SCATTER_ALL, resolution) or aside > ASIDE * (fit.passages + fit.aside)):
+
+
+def unexplained(measured: Measured, resolution: float) -> Iterator[str]:
+    """Why edges that scatter say nothing of the sensors: pole pairs are not told apart."""
+    fit = measured.fit
+    if fit is None or fit.apart:
+        return
+    most, aside = _scatter(fit)
+    if most > math.hypot(SCATTER_ALL, resolution) or aside > ASIDE * (fit.passages + fit.aside):
         yield (
             f"edges scatter by {degrees(most)} rms, and {aside} lie far off, as play, a bad sensor or uneven magnets "
             f"make them: {ONCE_A_TURN}"
         )
 
 
+def _scatter(fit: EdgeFit) -> tuple[float, int]:
+    return float(np.nanmax(fit.jitter, initial=0.0)), fit.aside - fit.first_aside
+
+
 def unsteady(measured: Measured, resolution: float) -> Iterator[Finding]:
     """Edges that do not repeat; `resolution`: rad rms that the times and angles are not known to."""
     fit = measured.fit
-    if fit is None or not fit.passages or fit.together > TOGETHER or (measured.blind and fit.speed < SWINGING):
+    if fit is None or not fit.passages or abs(fit.together) > TOGETHER or (measured.blind and fit.speed < SWINGING):
         return
     most = math.hypot(SCATTER_ALL if measured.blind else SCATTER, 1.5 * resolution)
     far = [

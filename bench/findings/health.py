@@ -86,8 +86,9 @@ def examine(trace: Trace, further: str = "", still_named: bool = False) -> Healt
         )
         findings: list[Finding] = [*wiring.by_samples(trace)] if still_named else []
     else:
-        dead = [*sensors.dead(trace, inputs, covered)]
-        candidates = [] if dead else [*sensors.away(inputs, levels(trace.edges, inputs, trace.tick_hz))]
+        candidates = [*sensors.away(inputs, levels(trace.edges, inputs, trace.tick_hz))]
+        dead = [*sensors.dead(trace, inputs, covered, candidates)]
+        candidates = [] if dead else candidates
         findings = dead or [*sensors.contacts(candidates, codes)]
         broken = bool(findings)
         if dead or not broken:  # a contact that opens makes bounces and pulses
@@ -120,6 +121,8 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     emf, declared = reference.back_emf(trace, since), trace.parameters.get("hall_offset")
     first, sure = encoder.first_turn(measured, jumps, turns, declared, emf) or (None, False)
     jumped = list(encoder.slipped(measured, fit, jumps, first, least, turns.n_p))
+    if steady and (adrift := list(edges.adrift(fit, health.resolution))):
+        return replace(health, findings=tuple(jumped), missing=() if jumped else tuple(adrift))
     delays = delays_of(trace, measured, since)
     findings: list[Finding] = [*jumped, *(() if jumped else encoder.zero(emf))]
     notes: list[Finding] = []

@@ -56,8 +56,11 @@ class Codes:
     edges: int
 
 
-def dead(trace: Trace, inputs: Inputs, turned: float) -> Iterator[Finding]:
-    """Inputs that never change while the shaft goes round, or stop to; `turned`: electrical revolutions covered."""
+def dead(trace: Trace, inputs: Inputs, turned: float, candidates: Sequence[Away]) -> Iterator[Finding]:
+    """Inputs that never change while the shaft goes round, or stop to; `turned`: electrical revolutions covered.
+
+    `candidates`: inputs that are away, by which nothing tells that the shaft turns where there is no encoder.
+    """
     changes, edges = trace.changes(), trace.edges
     if not len(edges.tick) and turned >= DEAD_TURNS and np.count_nonzero(trace.codes) != 1:
         yield Finding(
@@ -78,6 +81,8 @@ def dead(trace: Trace, inputs: Inputs, turned: float) -> Iterator[Finding]:
             evidence = f"input {name} reads {level} in {share} of {trace.samples} samples, over {turned:.1f} electrical"
             yield Finding("dead", cause, (f"{evidence} revolutions", f"changes of the inputs: {told}"), advice)
         elif len(flips) and _stopped(inputs, edges, flips):
+            if not abs(inputs.ratio) > STOPPED and any(one.name != name for one in candidates):
+                continue
             after = _gone(inputs, edges, int(flips[-1]))
             level = int(edges.new[flips[-1]] >> number & 1)
             cause, advice = stuck(name, level)

@@ -33,14 +33,15 @@ STEP, DRIFT = math.radians(0.5), math.radians(0.3)
 """rad, the smallest step, and drift in all, that are looked for."""
 BEYOND = 30.0
 """F statistic from which on a step or a drift is believed: they are looked for at every moment."""
-ABOVE = 2.0
-"""Times what is left of revolutions, rms, that a step must be."""
+ABOVE, SURE, ALONE = 2.0, 3.0, math.radians(5.0)
+"""Times what is left of revolutions, rms, that a step must be, and times what edges that scatter each by themselves
+leave of their mean; and rad, where one revolution alone lies before it."""
 USUAL = math.radians(1.0)
 """rad of hysteresis that sensors have: 0.2 to 2 deg."""
 LEAST_REACH = 3
 """Revolutions between the farthest places of the shaft, with which what all edges do is looked for."""
 LEAST_BEHIND, WHOLE = 2, 4
-"""Revolutions after a step, and edges that each must have; before it one will do: an index pulse comes soon."""
+"""Revolutions after a step, and edges that each must have; before it one does: an index pulse comes soon."""
 FAR = 6.0
 """Times the scatter,"""
 LEAST_FAR = math.radians(1.5)
@@ -342,7 +343,9 @@ def _common(at: _Passages, number: Ints, pairs: int) -> tuple[Common, Floats]:
     first = np.searchsorted(turn, np.flatnonzero(used))
     y = np.unwrap(of_turn[used])
     base = _base(mean["up"], mean["omega"], pair[first], pairs if len(y) >= VISITS * pairs else 1)
-    steps, drift = _steps_and_drift(y, base, mean["angle"])
+    about = wrap(at.off - of_turn[turn])
+    each = float(np.sqrt(np.mean(wrap(about - _medians(about, at.edge, SECTORS)[at.edge]) ** 2) / SECTORS))
+    steps, drift = _steps_and_drift(y, base, mean["angle"], each)
     if len(steps) == 1:
         steps = [_likelier(steps[0], base, y, mean["up"])]
     terms = [base, *([mean["angle"][:, None]] if drift else []), _jumps(steps, len(y))]
@@ -361,7 +364,7 @@ def _common(at: _Passages, number: Ints, pairs: int) -> tuple[Common, Floats]:
     for _ in range(10):  # the sum of what is left, not of its squares, so that one revolution does not spoil the others
         left = _least_squares(np.hstack(terms), y, 1.0 / np.maximum(np.abs(left), MODEL))[1]
     scatter = 1.4826 * float(np.median(np.abs(left))) * math.sqrt(len(y) / max(1, len(y) - len(weights)))
-    astray = np.abs(left) > max(FAR * scatter, LEAST_FAR)
+    astray = np.abs(left) > max(FAR * max(scatter, each), LEAST_FAR)
     times = int(np.count_nonzero(astray & ~np.insert(astray[:-1], 0, False)))
     return Common(tuple(sorted(found)), slope * math.tau, drifted, scatter, times), moved
 
@@ -434,8 +437,11 @@ def varied(omega: Floats, kind: Ints | Floats) -> bool:
     return bool(off.std() > SPREAD * math.sqrt(float(np.mean(size**2))))
 
 
-def _steps_and_drift(y: Floats, base: Floats, angle: Floats) -> tuple[list[_Jump], bool]:
-    """Between which revolutions the level jumps, and whether it drifts: what explains most comes first."""
+def _steps_and_drift(y: Floats, base: Floats, angle: Floats, each: float) -> tuple[list[_Jump], bool]:
+    """Between which revolutions the level jumps, and whether it drifts: what explains most comes first.
+
+    `each`: rad to which edges that scatter each by themselves tell a level.
+    """
     steps: list[_Jump] = []
     drift, n = False, len(y)
     terms = base
@@ -463,9 +469,9 @@ def _steps_and_drift(y: Floats, base: Floats, angle: Floats) -> tuple[list[_Jump
             steps.append(_best_jump(k, terms, y, freedom))
         terms = np.hstack([base, *([angle[:, None]] if drift else []), _jumps(steps, n)])
     weights, left = _least_squares(terms, y)
-    least = ABOVE * math.sqrt(float(left @ left) / max(1, n - len(weights)))
-    sizes = weights[base.shape[1] + drift :]
-    return [step for step, size in zip(steps, sizes, strict=False) if abs(size) > least], drift
+    least = max(ABOVE * math.sqrt(float(left @ left) / max(1, n - len(weights))), SURE * each)
+    large = np.abs(weights[base.shape[1] + drift :])
+    return [k for k, size in zip(steps, large, strict=False) if size > (least if k.at > 1 + k.within else ALONE)], drift
 
 
 def _best_jump(k: int, terms: Floats, y: Floats, freedom: int) -> _Jump:

@@ -38,6 +38,8 @@ NEAR = math.radians(15.0)
 """rad from an edge of the same input within which a return is at that edge."""
 MOSTLY = 0.5
 """Of the returns that do not lie at edges by chance, that must lie there where an input bounces."""
+CHANCE = 1e-4
+"""With which so many of them would lie at edges, wherever they came, below which they belong there."""
 STOPPED = 0.02
 """Ratio of encoder to sectors, below which the encoder does not turn."""
 ALIKE = 0.1
@@ -296,10 +298,22 @@ def _settled(t: Floats, high: Bools, omega: Floats, stretch: Ints, most: Floats)
 
 def bouncing(returns: Returns, which: Bools) -> bool:
     """Whether more of these returns lie at edges than would by chance, wherever they came."""
+    n = int(np.count_nonzero(which))
+    if not n:
+        return False
     expected = float(np.minimum((2.0 * NEAR + returns.travel[which]) / math.pi, 1.0).sum())
-    mostly = expected + MOSTLY * (np.count_nonzero(which) - expected)
-    near, at_edge = (np.count_nonzero(both[which]) for both in (returns.near, returns.at_edge))
-    return bool(near > expected + 3.0 * math.sqrt(expected) and at_edge > mostly)
+    mostly = expected + MOSTLY * (n - expected)
+    near, at_edge = (int(np.count_nonzero(both[which])) for both in (returns.near, returns.at_edge))
+    return at_edge > mostly and _at_least(near, n, expected / n) < CHANCE
+
+
+def _at_least(k: int, n: int, share: float) -> float:
+    """The chance that k or more of n come to lie where each of them lies with a chance of `share`."""
+    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1.0, n + 1.0)))])
+    i = np.arange(k, n + 1)
+    ways = log_factorial[n] - log_factorial[i] - log_factorial[n - i]
+    p = min(max(share, 1e-9), 1.0 - 1e-9)
+    return float(np.exp(ways + i * math.log(p) + (n - i) * math.log(1.0 - p)).sum())
 
 
 def _first_of_bounces(one: Changes, stays: Ints, first: Ints, returns: Returns, tick_hz: float) -> Ints:

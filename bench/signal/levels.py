@@ -78,10 +78,9 @@ def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
     rises = inputs.changes.of(inputs.changes.high)
     at = np.searchsorted(edges.tick, rises.tick)
     for way in _ways(edges, inputs, tick_hz):
-        high = _by_revolution(edges, way)
-        if high.shape[1] < LEAST:
+        wrong = _wrong(_by_revolution(edges, way))
+        if wrong.revolutions < LEAST:
             continue
-        wrong = _wrong(high)
         n = np.bincount(rises.input[way.known[at]], minlength=3)
         apart = np.abs(np.log((n + 1.0) / (np.abs(way.step).sum() + 1.0)))[np.arange(3) != way.input]
         unlikely = float(wrong.share.min(axis=1).sum() + ALL_WRONG * wrong.share.sum()) + UNLIKE * float(apart.min())
@@ -190,7 +189,21 @@ def _turned_alike(high: Floats, run: Ints) -> Floats:
 
 def _wrong(high: Floats) -> Levels:
     """Where inputs had the wrong level, by what they mostly have in each part of a revolution."""
-    share, halves, whole = np.zeros((3, 2)), np.zeros((3, 2), np.int64), np.zeros((3, 2), np.int64)
+    wrong = _off(high)
+    level = wrong.argmax(axis=1)  # (3, r): what no wires do, all three wrong at once and not alike, was told wrongly
+    misled = (wrong.max(axis=1) > 0.5).all(axis=0) & (level != level[0]).any(axis=0)
+    if misled.any():
+        wrong = _off(high[:, ~misled])
+    share = wrong.sum(axis=2) / max(1, wrong.shape[2])
+    halves, whole = (np.count_nonzero(wrong > limit, axis=2) for limit in (PARTLY, WHOLLY))
+    return Levels(share, halves, whole, wrong.shape[2])
+
+
+def _off(high: Floats) -> Floats:
+    """(3, 2, r) how much of each half revolution in which an input should have the other level it had 0, and 1."""
+    found = np.zeros((3, 2, high.shape[1]))
+    if not high.shape[1]:
+        return found
     for number, own in enumerate(high):
         mean = own.mean(axis=0)
         mean = (np.roll(mean, 1) + mean + np.roll(mean, -1)) / 3.0
@@ -203,8 +216,5 @@ def _wrong(high: Floats) -> Levels:
             parts[int(mean.mean() > 0.5)][:] = True
         for level, part in enumerate(parts):
             if part.any():
-                wrong = own[:, part].mean(axis=1) if level else 1.0 - own[:, part].mean(axis=1)
-                share[number, level] = float(wrong.mean())
-                halves[number, level] = np.count_nonzero(wrong > PARTLY)
-                whole[number, level] = np.count_nonzero(wrong > WHOLLY)
-    return Levels(share, halves, whole, high.shape[1])
+                found[number, level] = own[:, part].mean(axis=1) if level else 1.0 - own[:, part].mean(axis=1)
+    return found
