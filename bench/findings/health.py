@@ -96,6 +96,7 @@ def examine(trace: Trace, further: str = "", still_named: bool = False) -> Healt
             missing += away.values()
             well = "" if away else "".join(name for name in INPUTS if name not in sensors.named(dead))
             findings += [*sensors.bounces(inputs, found_pulses, well), *sensors.false_pulses(found_pulses, well)]
+            missing += sensors.bounces_or_pulses(found_pulses, well)
         if not broken:
             by_encoder = trace.encoder and not math.isnan(inputs.ratio)
             health = (_by_encoder if by_encoder else _blind)(trace, health, steady=not findings and not away)

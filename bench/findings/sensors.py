@@ -233,7 +233,9 @@ def bounces(inputs: Inputs, found: Pulses, well: str) -> Iterator[Finding]:
     changes = _changes(inputs)
     for number, name in enumerate(INPUTS):
         n, edges = found.bounces[number], int(changes[number])
-        if edges > OFTENER * np.median(changes) or n < PULSES or n < BOUNCES * edges or name not in well:
+        if not found.sure[number] or n < max(PULSES, BOUNCES * edges) or name not in well:
+            continue
+        if edges > OFTENER * np.median(changes):
             continue
         middle, widest = (1e6 * width for width in found.bounce_width)
         yield Finding(
@@ -246,6 +248,13 @@ def bounces(inputs: Inputs, found: Pulses, well: str) -> Iterator[Finding]:
             ),
             f"give input {name} hysteresis (a Schmitt trigger) and a filter, or let the firmware ignore a return",
         )
+
+
+def bounces_or_pulses(found: Pulses, well: str) -> Iterator[str]:
+    """Inputs that return at edges, and so seldom that pulses may have fallen there; `well`: as before."""
+    for name, n, sure in zip(INPUTS, found.bounces, found.sure, strict=True):
+        if n >= PULSES and not sure and name in well:
+            yield f"input {name} returned at {n} of its edges: a bounce, or false pulses; turn the shaft for longer"
 
 
 def false_pulses(found: Pulses, well: str) -> Iterator[Finding]:

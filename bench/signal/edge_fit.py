@@ -46,6 +46,8 @@ FAR = 6.0
 """Times the scatter,"""
 LEAST_FAR = math.radians(1.5)
 """but at least so far from its place lies a passage that is set aside."""
+ASTRAY = math.radians(3.0)
+"""rad by which a revolution is far from what explains the others, if it is by more than `FAR` too."""
 WILD = math.radians(25.0)
 """rad from the median of its kind, beyond which a passage does not count at first, unless they scatter by more."""
 MOST_PAIRS, REPEATS = 40, 0.3
@@ -364,7 +366,7 @@ def _common(at: _Passages, number: Ints, pairs: int) -> tuple[Common, Floats]:
     for _ in range(10):  # the sum of what is left, not of its squares, so that one revolution does not spoil the others
         left = _least_squares(np.hstack(terms), y, 1.0 / np.maximum(np.abs(left), MODEL))[1]
     scatter = 1.4826 * float(np.median(np.abs(left))) * math.sqrt(len(y) / max(1, len(y) - len(weights)))
-    astray = np.abs(left) > max(FAR * max(scatter, each), LEAST_FAR)
+    astray = np.abs(left) > max(FAR * max(scatter, each), ASTRAY)
     times = int(np.count_nonzero(astray & ~np.insert(astray[:-1], 0, False)))
     return Common(tuple(sorted(found)), slope * math.tau, drifted, scatter, times), moved
 

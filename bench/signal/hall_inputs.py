@@ -296,15 +296,14 @@ def _settled(t: Floats, high: Bools, omega: Floats, stretch: Ints, most: Floats)
     return stays, np.concatenate(first), np.concatenate(second)
 
 
-def bouncing(returns: Returns, which: Bools) -> bool:
-    """Whether more of these returns lie at edges than would by chance, wherever they came."""
+def by_chance(returns: Returns, which: Bools) -> float:
+    """The chance with which so many of these returns lie at edges wherever they came; 1 where most of them do not."""
     n = int(np.count_nonzero(which))
     if not n:
-        return False
+        return 1.0
     expected = float(np.minimum((2.0 * NEAR + returns.travel[which]) / math.pi, 1.0).sum())
-    mostly = expected + MOSTLY * (n - expected)
     near, at_edge = (int(np.count_nonzero(both[which])) for both in (returns.near, returns.at_edge))
-    return at_edge > mostly and _at_least(near, n, expected / n) < CHANCE
+    return _at_least(near, n, expected / n) if at_edge > expected + MOSTLY * (n - expected) else 1.0
 
 
 def _at_least(k: int, n: int, share: float) -> float:
@@ -319,7 +318,7 @@ def _at_least(k: int, n: int, share: float) -> float:
 def _first_of_bounces(one: Changes, stays: Ints, first: Ints, returns: Returns, tick_hz: float) -> Ints:
     """The changes that stay, those of an input that bounces moved to where the level first came."""
     near = returns.at_edge & (returns.travel < NEAR)
-    if not bouncing(returns, returns.travel < NEAR):
+    if by_chance(returns, returns.travel < NEAR) > CHANCE:
         return stays
     early = np.sort(first[near])
     reach = NEAR / np.maximum(np.abs(one.omega[stays]), 1e-9) * tick_hz

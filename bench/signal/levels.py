@@ -190,8 +190,7 @@ def _turned_alike(high: Floats, run: Ints) -> Floats:
 def _wrong(high: Floats) -> Levels:
     """Where inputs had the wrong level, by what they mostly have in each part of a revolution."""
     wrong = _off(high)
-    level = wrong.argmax(axis=1)  # (3, r): what no wires do, all three wrong at once and not alike, was told wrongly
-    misled = (wrong.max(axis=1) > 0.5).all(axis=0) & (level != level[0]).any(axis=0)
+    misled = (wrong.max(axis=0) > 0.5).all(axis=0)  # one to 0 and another to 1 at once: no wires, told wrongly
     if misled.any():
         wrong = _off(high[:, ~misled])
     share = wrong.sum(axis=2) / max(1, wrong.shape[2])

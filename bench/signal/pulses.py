@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.signal.hall_inputs import NEAR, Bools, Inputs, Returns, bouncing
-from bench.signal.trace import SLOW, Trace
+from bench.signal.hall_inputs import CHANCE, NEAR, Bools, Inputs, Returns, by_chance
+from bench.signal.trace import SLOW, Floats, Trace
 
 BINS = 4
 SURE = 3.0
@@ -22,8 +22,9 @@ APART = 1.5
 ONE_WAY = 0.1
 """Share of the other level, below which returns are to one level only."""
 
-FEW = 5
-"""Returns of an input, below which where they lie may be chance."""
+FEW, LIKELY = 5, 0.05
+"""Returns of an input, below which it is taken to do what all do; and the chance of so many at edges, above which they
+lie anywhere: between that and `CHANCE` those at edges may be either."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class Pulses:
     """s; NaN for none."""
     bounces: tuple[int, ...]
     """By input."""
+    sure: tuple[bool, ...]
+    """Whether those of an input are bounces beyond doubt: else so many may lie at edges by chance."""
     bounce_width: tuple[float, float]
     """s, of the middle and of the widest bounce; NaN for none."""
     bins: tuple[CurrentBin, ...]
@@ -90,6 +93,7 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
         _by_input(returns, pulses),
         float(returns.width[pulses].max()) if n else math.nan,
         _by_input(returns, bounces),
+        tuple((_by_chance(returns) <= CHANCE).tolist()),
         (float(np.median(width)), float(width.max())) if len(width) else (math.nan, math.nan),
         tuple(bins),
         excess,
@@ -97,25 +101,25 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
 
 
 def kinds(returns: Returns) -> tuple[Bools, Bools]:
-    """Which of them are bounces, and which are pulses."""
+    """Which of them are bounces, or may be, and which are pulses."""
     short = returns.travel < NEAR
-    bounces = short & returns.at_edge & _bouncing(returns, short)[returns.input]
+    bounces = short & returns.at_edge & (_by_chance(returns) < LIKELY)[returns.input]
     return bounces, short & ~bounces
 
 
-def _bouncing(returns: Returns, short: Bools) -> Bools:
-    """By input, whether it bounces: after an edge the old level comes back, so rising edges bounce to 0, falling to 1.
+def _by_chance(returns: Returns) -> Floats:
+    """By input, the chance with which so many lie at edges: after one the old level comes back, to 0 and to 1.
 
     What always returns from one level, and not only at edges, is a contact. An input with few returns does what all do.
     """
-    found = np.zeros(3, bool)
+    found, short = np.ones(3), returns.travel < NEAR
     for number in range(3):
         own = short & (returns.input == number)
         if np.count_nonzero(own) < FEW:
             own = short
         n, near, high = (int(np.count_nonzero(own & which)) for which in (own, returns.at_edge, returns.high))
-        both_ways = ONE_WAY * n < high < (1.0 - ONE_WAY) * n
-        found[number] = bouncing(returns, own) and (both_ways or near > (1.0 - 2.0 * ONE_WAY) * n)
+        if ONE_WAY * n < high < (1.0 - ONE_WAY) * n or near > (1.0 - 2.0 * ONE_WAY) * n:
+            found[number] = by_chance(returns, own)
     return found
 
 
