@@ -12,7 +12,7 @@ from enum import Enum
 
 from bench.findings.finding import Finding, degrees
 from bench.findings.thresholds import LATE
-from bench.signal.delays import AGREE, Delays
+from bench.signal.delays import AGREE, CLOSE, Delays
 
 ASK_BACK_EMF = "let the drive turn the motor faster, and record u_alpha, u_beta, i_a and i_b: the back-EMF shows which"
 ASK_EDGES = "record Hall edges at several speeds: they show which"
@@ -41,7 +41,7 @@ def blame(found: Delays) -> tuple[Late, str]:
         return Late.UNCLEAR, f"{edges_differ}: the encoder is {_late(-edges)}, or {other}; {ASK_BACK_EMF}"
     if math.isnan(edges):
         return Late.UNCLEAR, f"{emf_differs}: the encoder is {_late(-emf)}, or {OF_ANOTHER_TIME}; {ASK_EDGES}"
-    if abs(edges - emf) < AGREE:
+    if abs(edges - emf) < max(AGREE, CLOSE * abs(emf)):
         return Late.ENCODER, f"the encoder is {_late(-emf)}: {emf_differs}, and {edges_differ}"
     if abs(emf) < LATE and edges > 0.0:
         return Late.HALL, f"the Hall edges are {_late(edges)}: encoder and back-EMF agree"

@@ -182,7 +182,7 @@ def away(inputs: Inputs, found: Levels | None) -> Iterator[Away]:
         share = float(found.share[number, level])
         one = Away(name, level, halves, max(0, whole), int(found.halves[number, other]), share, long)
         one_sided = halves > 0 and one.other <= ONE_SIDED * halves and share > BESIDES * found.share.max()
-        if not one.lasting and share < SHORTLY:  # else what closes shortly returns as well
+        if share < SHORTLY:  # else what closes shortly returns as well
             one_sided = one_sided and n_back <= AS_OFTEN * max(n, halves)
         edges_moved = share * found.revolutions < PART * halves and n < AS_OFTEN * halves
         if one_sided and not edges_moved:

@@ -135,7 +135,7 @@ NO_HYSTERESIS, BACKWARDS = math.radians(6.0), math.radians(-1.5)
 ZERO = math.radians(2.5)
 """Off the rotor flux, from which on the encoder's zero is off: more than the back-EMF is wrong by."""
 LATE = 50e-6
-"""s, from which on a delay is one: it is told where it is known to 25 us (95 %)."""
+"""s, from which on a delay is one: it is told where it is known to 25 us (95 %), or to a tenth of it."""
 OFF_BY = SECTOR_WIDTH
 """rad rms of a position error, above which an angle is no estimate: a Hall sector alone tells it better."""
 

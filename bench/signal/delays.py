@@ -33,7 +33,7 @@ UNSURE = 0.03
 """V across the back-EMF, by which the inverter may be off: what a dead time's compensation leaves."""
 LEAST = 200  # samples that a delay is fitted to
 ALIKE = 0.97  # correlation of speed and q current above which their effects cannot be separated
-AGREE = 25e-6  # s within which two delays are one
+AGREE, CLOSE = 25e-6, 0.1  # s within which two delays are one, or as a share of them
 
 
 class Delays(NamedTuple):
@@ -57,7 +57,7 @@ def delays_of(trace: Trace, measured: Measured | None = None, since: int = 0) ->
     if trace.samples < LEAST or not trace.encoder:
         return Delays(math.nan, math.nan)
     edges = measure(trace) if measured is None else measured
-    known = edges.delay_half_width < AGREE
+    known = edges.delay_half_width < max(AGREE, CLOSE * abs(edges.delay))
     return Delays(
         edges.delay if known else math.nan, _by_back_emf(trace, since), edges.delay_by_count if known else 0.0
     )

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +165,7 @@ class EdgeFit:
     @property
     def hysteresis_sd(self) -> Floats:
         """Standard errors of the hysteresis, rad (6,)."""
-        return np.sqrt(np.diag(self.covariance)[SECTORS:])
+        return np.sqrt(np.maximum(np.diag(self.covariance)[SECTORS:], 0.0))
 
     def sd(self, weights: Floats) -> Floats:
         """Standard errors, rad (k,), of sums of places, or of places and hysteresis, with weights (k, 6) or (k, 12)."""
@@ -199,18 +199,33 @@ def fitted(inputs: Inputs, ratio: float, n_p: int | None) -> EdgeFit | None:
     middle = float(np.angle(np.exp(1j * at.off).mean()))
     turn = np.round((at.angle - SECTOR_WIDTH * at.edge - middle) / math.tau).astype(np.int64)
     own = np.zeros(len(turn))
-    for _ in range(2):  # what single edges do is in the way of what all do, and the other way round
+    for again in (True, False):  # what single edges do is in the way of what all do, and the other way round
         common, moved = _common(at._replace(off=wrap(at.off - own)), turn, pairs)
         found = _single(at, at.off - moved, turn % pairs, pairs, common, pairs == n_p)
-        own = _of_their_own(at, found, turn % pairs)
+        if again:
+            own, use = _of_their_own(at, found, turn % pairs), _apart_from_steps(at, common)
+            at, turn, own = _chosen(at, use), turn[use], own[use]
     return found
+
+
+def _apart_from_steps(at: _Passages, common: Common) -> NDArray[np.bool_]:
+    """All passages but those on either side of a step, whose angle may lie between samples before it and after it."""
+    use = np.ones(len(at.tick), bool)
+    for step in common.steps:
+        after = int(np.searchsorted(at.tick, step.tick))
+        use[max(after - 1, 0) : after + 1] = False
+    return use
 
 
 def _some(at: _Passages) -> _Passages:
     """Of more than `MOST` passages some in a row each, evenly spread."""
     every = -(-len(at.edge) // MOST) or 1
     use = np.arange(len(at.edge)) // ROW % every == 0
-    return at if every == 1 else _Passages(*(column[use] for column in at))
+    return at if every == 1 else _chosen(at, use)
+
+
+def _chosen(at: _Passages, use: Any) -> _Passages:
+    return _Passages(*(column[use] for column in at))
 
 
 def _of_their_own(at: _Passages, found: EdgeFit, pair: Ints) -> Floats:

@@ -29,7 +29,7 @@ FOLLOWS = 0.1
 """Share of revolutions in which an input has another level in one part than in another, below which it follows none."""
 MOST_REVOLUTIONS, IN_A_ROW = 4000, 8
 """That are looked at, and how many in a row of them."""
-LEAST = 6
+LEAST = 8
 """Revolutions with which something tells enough of them."""
 STEADY, IN_CHAIN = 1.3, 3
 """Times the revolution before it, that one may last to be told by an input, and how many must last so in a row: an edge
