@@ -21,6 +21,7 @@ from bench.findings.thresholds import (
     BROKEN,
     CLEAN,
     DEAD_TURNS,
+    FEW_BESIDE,
     FEW_LONG,
     LONG,
     MANY,
@@ -183,7 +184,7 @@ def away(inputs: Inputs, found: Levels | None) -> Iterator[Away]:
         one = Away(name, level, halves, max(0, whole), int(found.halves[number, other]), share, long)
         one_sided = halves > 0 and one.other <= ONE_SIDED * halves and share > BESIDES * found.share.max()
         if share < SHORTLY:  # else what closes shortly returns as well
-            one_sided = one_sided and n_back <= AS_OFTEN * max(n, halves)
+            one_sided = one_sided and n_back <= max(AS_OFTEN * max(n, halves), FEW_BESIDE * halves * one.lasting)
         edges_moved = share * found.revolutions < PART * halves and n < AS_OFTEN * halves
         if one_sided and not edges_moved:
             yield one

@@ -50,8 +50,9 @@ DEAD_TURNS = 3.0
 OFTEN_AWAY, ONE_SIDED = 8, 0.15
 """Half revolutions in which an input reads one wrong level, and such a share of them the other: eight are so by chance
 once in 128."""
-AS_OFTEN = 0.5
-"""Of these, in which the input must be seen to return to that level; and of returns to it, that may be to the other."""
+AS_OFTEN, FEW_BESIDE = 0.5, 10
+"""Of these, in which the input must be seen to return to that level; and of returns to it, that may be to the other:
+or so many for each of these where the input is away for long, for where it bounces there are many more."""
 PART = 0.1
 """Of a half revolution, that is wrong in the mean of those that are, unless the input is seen to return: else it is an
 edge that lies far off."""
