@@ -39,7 +39,7 @@ from bench.findings.thresholds import (
 from bench.signal.edge_fit import EACH, OPENS, EdgeFit
 from bench.signal.hall_edges import Measured
 from bench.signal.trace import INPUTS, Floats
-from bench.signal.waveforms.sectors import NUMERALS
+from bench.signal.waveforms.sectors import NUMERALS, SECTORS
 
 SEEN_BY = (-1, 0, 0, 0, 0, 1)
 """By edge: one magnet passes sensor a, then b, then c, the last of them in the revolution after that of the first."""
@@ -91,7 +91,9 @@ def magnets(measured: Measured, resolution: float) -> Iterator[Finding]:
     pairs, of_turn = fit.pairs.shape[1], fit.pairs.mean(axis=0)
     of_pair = np.array([np.roll(own, by) for own, by in zip(fit.pairs, SEEN_BY, strict=True)]).mean(axis=0)
     by_chance = float(np.nanmean(fit.jitter**2)) * fit.pairs.size / max(1, fit.passages)
-    size = math.sqrt(max(0.0, float(np.mean(fit.pairs**2)) - by_chance))
+    most_by_chance = by_chance * (1.0 + SURE * math.sqrt(2.0 / fit.pairs.size))
+    size = math.sqrt(max(0.0, float(np.mean(fit.pairs**2)) - most_by_chance))
+    off = PAIR_OFF + SURE * math.sqrt(by_chance / SECTORS)  # of a pole pair: the mean of its edges
     repeats = f"each edge repeats to {degrees(float(np.nanmean(fit.jitter)), 2)} from turn to turn of the shaft"
     worst = int(np.argmax(np.abs(of_pair - np.median(of_pair))))
     alone = float(of_pair[worst] - np.median(of_pair))
@@ -99,7 +101,7 @@ def magnets(measured: Measured, resolution: float) -> Iterator[Finding]:
     sine = 2.0 * abs(np.vdot(wave, of_turn)) / pairs / float(np.sinc(1.0 / pairs)) if pairs > 2 else 0.0
     uneven = of_turn - 2.0 / pairs * (np.vdot(wave, of_turn) * wave).real
     alike, rest = np.delete(of_pair, worst), max(1, pairs - 3)
-    one = abs(alone) > PAIR_OFF and alike.var() * (pairs - 1) / max(1, pairs - 2) <= uneven.var() * pairs / rest
+    one = abs(alone) > off and alike.var() * (pairs - 1) / max(1, pairs - 2) <= uneven.var() * pairs / rest
     swings = not one and sine > max(ECCENTRIC * pairs, SINE) and uneven.std() < LEFT * of_turn.std()
     both = f"all edges move by {degrees(sine)} once a turn"
     if swings and pairs >= TOLD_EVEN and uneven.std() * math.sqrt(pairs / rest) < EVEN_MAGNETS:
@@ -118,7 +120,7 @@ def magnets(measured: Measured, resolution: float) -> Iterator[Finding]:
             "look at the disc and the ring with a dial gauge; magnets that are uneven move the back-EMF, too",
         )
         return
-    if abs(alone) > PAIR_OFF and pairs > 1:
+    if abs(alone) > off and pairs > 1:
         yield Finding(
             "magnet",
             f"the magnets of one pole pair of {pairs} stand {degrees(alone)} off (electrical)",

@@ -218,8 +218,8 @@ def slipped(
 
 def _between(measured: Measured, fit: EdgeFit) -> Iterator[Finding]:
     """All edges apart by the direction: no sensor's hysteresis is so large, or below zero."""
-    both, late = _by_way(measured, fit)
-    if not both or late < (LATE if both < 0.0 else LATE_EDGES):
+    both, late, harmless = _by_way(measured, fit)
+    if harmless:
         return
     slip = f"the encoder slipped by {degrees(both)} (electrical) between the two directions"
     code, cause = "encoder_slipped", slip
@@ -232,23 +232,24 @@ def _between(measured: Measured, fit: EdgeFit) -> Iterator[Finding]:
 
 def slip_or_late(measured: Measured, fit: EdgeFit) -> Iterator[str]:
     """All edges apart by the direction, as a delay that does no harm makes them, or a slip."""
-    both, late = _by_way(measured, fit)
-    if both and late < (LATE if both < 0.0 else LATE_EDGES):
+    both, late, harmless = _by_way(measured, fit)
+    if both and harmless:
         yield (
             f"passed forward, all edges lie {degrees(both)} later than in reverse: they come {1e6 * late:.0f} us "
             f"{'late' if both > 0.0 else 'early'}, or the encoder slipped; {WAYS}"
         )
 
 
-def _by_way(measured: Measured, fit: EdgeFit) -> tuple[float, float]:
+def _by_way(measured: Measured, fit: EdgeFit) -> tuple[float, float, bool]:
     """rad by which all edges lie later forward than in reverse, 0 where sensors do so; and s that they then are late.
 
-    inf where the delay is known, and taken out.
+    inf where the delay is known, and taken out; and whether such a delay does no harm.
     """
     both, sure = float(fit.hysteresis.mean()), SURE * float(fit.hysteresis_sd.max())
     if not (both < BACKWARDS - sure or both > NO_HYSTERESIS + sure):
-        return 0.0, 0.0
-    return both, abs(both) / (2.0 * fit.speed) if math.isnan(measured.delay) else math.inf
+        return 0.0, 0.0, True
+    late = abs(both) / (2.0 * fit.speed) if math.isnan(measured.delay) else math.inf
+    return both, late, late < (LATE if both < 0.0 else LATE_EDGES)
 
 
 def index_note(index: Step, tick_hz: float) -> Finding:

@@ -122,8 +122,9 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     emf, declared = reference.back_emf(trace, since), trace.parameters.get("hall_offset")
     first, sure = encoder.first_turn(measured, jumps, turns, declared, emf) or (None, False)
     jumped = list(encoder.slipped(measured, fit, jumps, first, least, turns.n_p))
-    if steady and (adrift := list(edges.adrift(fit, health.resolution))):
-        return replace(health, findings=tuple(jumped), missing=() if jumped else tuple(adrift))
+    index = () if first is None or sure else (encoder.index_or_slip(first, trace.tick_hz),)
+    if steady and (adrift := tuple(edges.adrift(fit, health.resolution))):
+        return replace(health, findings=tuple(jumped), missing=index + (() if jumped else adrift))
     delays = delays_of(trace, measured, since)
     findings: list[Finding] = [*jumped, *(() if jumped else encoder.zero(emf))]
     notes: list[Finding] = []
@@ -138,10 +139,10 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     if edges.enough(measured):
         findings += [*edges.places(measured), *(() if jumped else edges.magnets(measured, health.resolution))]
         if steady and not jumped and not any(finding.code == "encoder_late" for finding in findings):
-            findings += edges.late_edges(measured, time_step(trace))
+            findings += edges.late_edges(measured, trace.time_step)
         findings += edges.unsteady(measured, health.resolution) if steady and not findings else ()
     thin = [
-        *(() if first is None or sure else (encoder.index_or_slip(first, trace.tick_hz),)),
+        *index,
         *(() if jumps else encoder.slip_or_late(measured, fit)),
         *_thin(turns, measured),
         *(() if findings or not steady else edges.unexplained(measured, health.resolution)),
@@ -158,7 +159,7 @@ def _blind(trace: Trace, health: Health, steady: bool) -> Health:
     measured = health.measured
     findings = list(wiring.missing_codes(measured))
     if steady and edges.enough(measured):
-        findings += [*edges.places(measured), *edges.late_edges(measured, time_step(trace))]
+        findings += [*edges.places(measured), *edges.late_edges(measured, trace.time_step)]
         findings += [] if findings else edges.unsteady(measured, health.resolution)
     missing = (
         "no encoder was recorded: without one, exchanged wires, the angle of the ring and a delay that all edges share "
@@ -193,13 +194,7 @@ def _reach(trace: Trace) -> float:
 def resolution(trace: Trace, measured: Measured) -> float:
     """rad rms to which an edge is known at the mean speed: by the steps of the times, and of the encoder's angle."""
     speed = 0.0 if measured.fit is None else measured.fit.speed
-    return math.hypot(time_step(trace) * speed, trace.count) / math.sqrt(12.0)
-
-
-def time_step(trace: Trace) -> float:
-    """s between the times that edges can have: one tick, or the period at which a drive looks at its inputs."""
-    ticks = np.diff(trace.edges.tick)
-    return float(np.gcd.reduce(ticks)) / trace.tick_hz if len(ticks) else 0.0
+    return math.hypot(trace.time_step * speed, trace.count) / math.sqrt(12.0)
 
 
 def _fastest(trace: Trace) -> float:

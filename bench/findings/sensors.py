@@ -170,18 +170,17 @@ def away(inputs: Inputs, found: Levels | None) -> Iterator[Away]:
     returns = inputs.returns
     if found is None:
         return
-    misled = int(found.whole.min(axis=1).max())  # revolutions that were told wrongly: no contact is wrong both ways
     few = found.revolutions < SEEN_OF * min(sum(inputs.turns), MOST_REVOLUTIONS)
     if few and found.share.min(axis=1).sum() > CLEAN:
         return
     for number, name in enumerate(INPUTS):
         level = int(np.argmax(found.share[number]))
-        halves, whole, other = int(found.halves[number, level]), int(found.whole[number, level]) - misled, 1 - level
+        halves, whole, other = int(found.halves[number, level]), int(found.whole[number, level]), 1 - level
         there, back = ((returns.input == number) & (returns.high == bool(way)) for way in (level, other))
         n, n_back = int(np.count_nonzero(there)), int(np.count_nonzero(back))
         long = int(np.count_nonzero(there & ~returns.at_edge & (returns.width > LONG)))
         share = float(found.share[number, level])
-        one = Away(name, level, halves, max(0, whole), int(found.halves[number, other]), share, long)
+        one = Away(name, level, halves, whole, int(found.halves[number, other]), share, long)
         one_sided = halves > 0 and one.other <= ONE_SIDED * halves and share > BESIDES * found.share.max()
         if share < SHORTLY:  # else what closes shortly returns as well
             one_sided = one_sided and n_back <= max(AS_OFTEN * max(n, halves), FEW_BESIDE * halves * one.lasting)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.findings.health import Health, time_step
+from bench.findings.health import Health
 from bench.findings.wiring import AS_SPECIFIED
 from bench.hall.turning import Turned
 from bench.report.words import number
@@ -204,7 +204,7 @@ def _precision_rows(health: Health, trace: Trace) -> list[list[str]]:
     if fit.apart and fit.pairs.shape[1] > 1:
         uneven = math.degrees(float(np.sqrt(np.mean(fit.pairs**2))))
         rows.append(["unevenness", f"edges of {fit.pairs.shape[1]} pole pairs differ by {uneven:.2f} deg rms"])
-    step, known = time_step(trace), health.resolution
+    step, known = trace.time_step, health.resolution
     if known > MATTERS * float(np.nanmedian(fit.jitter)):
         counts = f", {math.degrees(trace.count):.2g} deg" if trace.count else ""
         told = f"to {math.degrees(known):.2f} deg rms at mean speed (steps of {1e6 * step:.3g} us{counts})"

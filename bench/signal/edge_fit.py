@@ -187,8 +187,10 @@ class _Passages(NamedTuple):
     off: Floats  # rad, from where ideal sensors had it, wrapped
 
 
-def fitted(inputs: Inputs, ratio: float, n_p: int | None) -> EdgeFit | None:
+def fitted(inputs: Inputs, ratio: float, n_p: int | None, step: float) -> EdgeFit | None:
     """Fit them; `ratio`: what the encoder's angle is divided by, -1 where it falls in the order of the codes.
+
+    `step`: s between the times that edges can have.
 
     None without passages.
     """
@@ -205,7 +207,7 @@ def fitted(inputs: Inputs, ratio: float, n_p: int | None) -> EdgeFit | None:
         if again:
             own, use = _of_their_own(at, found, turn % pairs), _apart_from_steps(at, common)
             at, turn, own = _chosen(at, use), turn[use], own[use]
-    return found
+    return _beating(found, step, at.omega)
 
 
 def _apart_from_steps(at: _Passages, common: Common) -> NDArray[np.bool_]:
@@ -251,7 +253,7 @@ def _passages(inputs: Inputs, ratio: float, blind: bool = False) -> _Passages:
     return _Passages(edge, up, changes.input, (~changes.high).astype(np.int64), changes.tick, angle, changes.omega, off)
 
 
-def fitted_blind(inputs: Inputs, tick_hz: float, n_p: int | None) -> EdgeFit | None:
+def fitted_blind(inputs: Inputs, tick_hz: float, n_p: int | None, step: float) -> EdgeFit | None:
     """Fit them without an encoder: by the share that each sector has of a whole electrical revolution.
 
     The mean of all places, of all delays and of every hysteresis is unknown then, and taken as 0. None without a
@@ -270,8 +272,22 @@ def fitted_blind(inputs: Inputs, tick_hz: float, n_p: int | None) -> EdgeFit | N
     pairs = _told_apart(n_p, at) if n_p else 1
     turn = np.round(at.angle / SECTOR_WIDTH).astype(np.int64) // SECTORS
     if n_p is None and (seen := _repeating(at, turn, off)):
-        return replace(_single(at, off, turn % seen, seen, NOTHING, True, tick_hz), n_p=seen)
-    return _single(at, off, turn % pairs, pairs, NOTHING, pairs == n_p, tick_hz)
+        found = replace(_single(at, off, turn % seen, seen, NOTHING, True, tick_hz), n_p=seen)
+    else:
+        found = _single(at, off, turn % pairs, pairs, NOTHING, pairs == n_p, tick_hz)
+    return _beating(found, step, at.omega)
+
+
+def _beating(found: EdgeFit, step: float, omega: Floats) -> EdgeFit:
+    """With what steps of the times, `step` s, add to the errors, which scatter does not show; `omega` (m,).
+
+    While the speed beats with them an edge of a pole pair is told too late by one part of a step in every turn: for
+    as long as a revolution takes as many steps, or one more.
+    """
+    alike = np.unique(np.floor(math.tau / (2.0 * step * omega)), return_counts=True)[1] / len(omega)
+    each = float(np.mean(np.square(step * omega))) / 12.0 * float(alike @ alike) / found.pairs.shape[1]
+    more = np.repeat([each, 4.0 * each * np.isfinite(found.hysteresis).all()], SECTORS)
+    return replace(found, covariance=found.covariance + np.diag(more))
 
 
 def _repeating(at: _Passages, turn: Ints, off: Floats) -> int:
@@ -378,12 +394,17 @@ def _common(at: _Passages, number: Ints, pairs: int) -> tuple[Common, Floats]:
         tick = _moment(at, turn, np.flatnonzero(used)[max(k - 1, 0)], of_turn[used][max(k - 2, 0)], float(size))
         found.append(Step(tick, float(size)))
         moved -= size * (at.tick < tick)  # against what follows: an index pulse makes it right
-    for _ in range(10):  # the sum of what is left, not of its squares, so that one revolution does not spoil the others
-        left = _least_squares(np.hstack(terms), y, 1.0 / np.maximum(np.abs(left), MODEL))[1]
-    scatter = 1.4826 * float(np.median(np.abs(left))) * math.sqrt(len(y) / max(1, len(y) - len(weights)))
+    return Common(tuple(sorted(found)), slope * math.tau, drifted, *_astray(np.hstack(terms), y, left, each)), moved
+
+
+def _astray(terms: Floats, y: Floats, left: Floats, each: float) -> tuple[float, int]:
+    """Scatter of revolutions, rad, by the sum of what is left, not of its squares, so that one does not spoil the rest;
+    and how often some are far off."""
+    for _ in range(10):
+        left = _least_squares(terms, y, 1.0 / np.maximum(np.abs(left), MODEL))[1]
+    scatter = 1.4826 * float(np.median(np.abs(left))) * math.sqrt(len(y) / max(1, len(y) - terms.shape[1]))
     astray = np.abs(left) > max(FAR * max(scatter, each), ASTRAY)
-    times = int(np.count_nonzero(astray & ~np.insert(astray[:-1], 0, False)))
-    return Common(tuple(sorted(found)), slope * math.tau, drifted, scatter, times), moved
+    return scatter, int(np.count_nonzero(astray & ~np.insert(astray[:-1], 0, False)))
 
 
 def _likelier(step: _Jump, base: Floats, y: Floats, up: Floats) -> _Jump:

@@ -190,11 +190,11 @@ def measure(trace: Trace) -> Measured:
     pairs = None if n_p is None else max(1, round(n_p))
     blind, scale = not abs(inputs.ratio) > hall_inputs.STOPPED, math.nan
     if blind:
-        fit, sign = fitted_blind(inputs, trace.tick_hz, pairs), 1.0
+        fit, sign = fitted_blind(inputs, trace.tick_hz, pairs, trace.time_step), 1.0
     else:
         sign = math.copysign(1.0, inputs.ratio)
         scale = sign if abs(abs(inputs.ratio) - 1.0) < hall_inputs.ALIKE else inputs.ratio
-        fit = fitted(inputs, scale, pairs)
+        fit = fitted(inputs, scale, pairs, trace.time_step)
     found = _edges(inputs, fit, sign)
     ring = sign * mean_angle(fit.place - SECTOR_WIDTH * np.arange(SECTORS)) if fit is not None else math.nan
     offset = trace.parameters.get("hall_offset", 0.0)

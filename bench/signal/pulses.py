@@ -68,7 +68,7 @@ class Pulses:
 def count(trace: Trace, inputs: Inputs) -> Pulses:
     """Count what returned within a small part of a sector."""
     returns = inputs.returns
-    bounces, pulses = kinds(returns)
+    bounces, pulses, chance = kinds(returns)
     n = int(np.count_nonzero(pulses))
     bins: list[CurrentBin] = []
     excess = math.nan
@@ -93,18 +93,18 @@ def count(trace: Trace, inputs: Inputs) -> Pulses:
         _by_input(returns, pulses),
         float(returns.width[pulses].max()) if n else math.nan,
         _by_input(returns, bounces),
-        tuple((_by_chance(returns) <= CHANCE).tolist()),
+        tuple((chance <= CHANCE).tolist()),
         (float(np.median(width)), float(width.max())) if len(width) else (math.nan, math.nan),
         tuple(bins),
         excess,
     )
 
 
-def kinds(returns: Returns) -> tuple[Bools, Bools]:
-    """Which of them are bounces, or may be, and which are pulses."""
-    short = returns.travel < NEAR
-    bounces = short & returns.at_edge & (_by_chance(returns) < LIKELY)[returns.input]
-    return bounces, short & ~bounces
+def kinds(returns: Returns) -> tuple[Bools, Bools, Floats]:
+    """Which of them are bounces, or may be, which are pulses; and by input the chance that pulses look so."""
+    short, chance = returns.travel < NEAR, _by_chance(returns)
+    bounces = short & returns.at_edge & (chance < LIKELY)[returns.input]
+    return bounces, short & ~bounces, chance
 
 
 def _by_chance(returns: Returns) -> Floats:

@@ -136,6 +136,12 @@ class Trace:
         self._edges = [_together(Edges, self._edges)]
         return self._edges[0] if self._every_block > 1 else _in_a_row(self._edges[0])
 
+    @property
+    def time_step(self) -> float:
+        """s between the times that edges can have: one tick, or the period at which a drive looks at its inputs."""
+        ticks = np.diff(self.edges.tick)
+        return float(np.gcd.reduce(ticks)) / self.tick_hz if len(ticks) else 0.0
+
     def add(self, window: Window) -> Edges:
         """Add a window, which has `SLOPE` on either side of its own samples, or more. Returns its edges."""
         capture, own = window.capture, window.own

@@ -57,7 +57,7 @@ class HallReturns:
         whole = joined(list(self._recent))
         edges = Trace().add(Window(whole, slice(0, len(whole))))
         returns = hall_inputs.read(edges, whole.tick_hz).returns
-        kinds = pulses.kinds(returns)
+        *kinds, _ = pulses.kinds(returns)
         return np.concatenate(
             [np.bincount(returns.input[kind & (returns.tick > since)], minlength=3) for kind in kinds]
         )

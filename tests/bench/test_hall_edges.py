@@ -12,6 +12,8 @@ from bench.errors import BenchError
 from bench.hall.trace import trace
 from bench.signal import hall_inputs, pulses, reference
 from bench.signal.hall_edges import measure
+from tests.bench.hall_cases.faults import by_name
+from tests.choice import chosen
 
 
 def deltas(measured):
@@ -57,6 +59,14 @@ def test_jitter_and_confidence_are_those_of_the_passages():
         assert jitter.mean() == pytest.approx(0.5, rel=0.12)
         assert half.mean() == pytest.approx(0.5 * 2.0 / math.sqrt(found.edges[0].up.n), rel=0.5)
     assert stats.binomtest(inside, widths, 0.95).pvalue > 1e-3  # 95 % of 144, neither fewer nor more
+
+
+def test_confidence_holds_where_codes_are_sampled_so_slowly_that_their_times_beat_with_the_speed():
+    for seed in chosen("codes sampled", range(1000), 3):
+        made = by_name(f"codes_sampled/2000/fast/unkind/encoder/{seed}").recording
+        found = measure(trace(made.capture()))
+        off = np.degrees(found.placement) - (made.sensors.displaced - np.mean(made.sensors.displaced))
+        assert np.all(np.abs(off) < 2.0 * np.degrees(found.placement_half_width[0])), seed  # four standard errors
 
 
 def test_a_delay_is_told_from_the_place_of_an_edge_by_speeds_that_differ():

@@ -1,6 +1,6 @@
 """The judge of `bench hall check` before recordings by formula: right or "cannot tell", and nothing well is accused.
 
-Of all cases some 0.6 % are not judged rightly (docs/make_hall_faults.py tries them all): of those that the commit
+Of all cases some 0.1 % are not judged rightly (docs/make_hall_faults.py tries them all): of those that the commit
 chooses one may be among them.
 """
 
