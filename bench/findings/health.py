@@ -131,9 +131,9 @@ def _by_encoder(trace: Trace, health: Health, steady: bool) -> Health:
     if first is not None and sure:
         notes.append(encoder.index_note(first, trace.tick_hz))
     possible = wiring.possible(measured, emf)
-    if not jumped:
-        findings += late.late(delays, _fastest(trace))
     reversed_too = any(finding.code == "encoder_reversed" for finding in findings)
+    if not jumped and not reversed_too:  # the back-EMF's delay is that of an encoder that counts up
+        findings += late.late(delays, _fastest(trace))
     wired = [] if jumped else list(wiring.order(possible, declared, emf is not None))
     findings += [finding for finding in wired if not (reversed_too and finding.code == "encoder_reversed")]
     if edges.enough(measured):

@@ -19,7 +19,6 @@ from bench.findings.thresholds import (
     BESIDES,
     BOUNCES,
     BROKEN,
-    CLEAN,
     DEAD_TURNS,
     FEW_BESIDE,
     FEW_LONG,
@@ -171,8 +170,6 @@ def away(inputs: Inputs, found: Levels | None) -> Iterator[Away]:
     if found is None:
         return
     few = found.revolutions < SEEN_OF * min(sum(inputs.turns), MOST_REVOLUTIONS)
-    if few and found.share.min(axis=1).sum() > CLEAN:
-        return
     for number, name in enumerate(INPUTS):
         level = int(np.argmax(found.share[number]))
         halves, whole, other = int(found.halves[number, level]), int(found.whole[number, level]), 1 - level
@@ -181,6 +178,9 @@ def away(inputs: Inputs, found: Levels | None) -> Iterator[Away]:
         long = int(np.count_nonzero(there & ~returns.at_edge & (returns.width > LONG)))
         share = float(found.share[number, level])
         one = Away(name, level, halves, whole, int(found.halves[number, other]), share, long)
+        by_time = (1.0 - 2.0 * found.high[number]) * (1.0 - 2.0 * level)
+        if few and by_time < share / 2.0:  # revolutions were told wrongly
+            continue
         one_sided = halves > 0 and one.other <= ONE_SIDED * halves and share > BESIDES * found.share.max()
         if share < SHORTLY:  # else what closes shortly returns as well
             one_sided = one_sided and n_back <= max(AS_OFTEN * max(n, halves), FEW_BESIDE * halves * one.lasting)

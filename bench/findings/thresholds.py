@@ -56,8 +56,8 @@ or so many for each of these where the input is away for long, for where it boun
 PART = 0.1
 """Of a half revolution, that is wrong in the mean of those that are, unless the input is seen to return: else it is an
 edge that lies far off."""
-SEEN_OF, CLEAN = 0.3, 0.02
-"""Of the revolutions by the sectors, with which that is told, or with fewer where so little is wrong both ways."""
+SEEN_OF = 0.3
+"""Of the revolutions by the sectors, with which that is told, or with fewer where the time at each level agrees."""
 SHORTLY, BESIDES = 0.1, 0.4
 """Share of the way, up to which all that returns must be on that side, too; and of the input that is away the most."""
 SELDOM, OFTENER = 0.8, 1.5

@@ -28,6 +28,8 @@ RETURNS, EVEN_RETURNS, BLIND_RETURNS = math.radians(75.0), math.radians(25.0), m
 """rad that the shaft may have gone when an input is back, with an encoder and without: edges of one input are more than
 120 deg apart, wherever sensors of motors were found. Without one, a shaft that rocks goes back by a fifth of a sector,
 but not among sectors that last about alike."""
+TURNS_ROUND = 0.2
+"""Of the speed at the edges around, with which a shaft that turns round between them may undo an edge itself."""
 CHAIN = 4
 """Returns in a row that may belong to one edge, besides the first."""
 EVEN = 1.4
@@ -293,7 +295,14 @@ def _settled(t: Floats, high: Bools, omega: Floats, stretch: Ints, most: Floats)
         first.append(a[goes])
         second.append(b[goes])
         stays = np.delete(stays, np.concatenate([goes, goes + 1]))
-    return stays, np.concatenate(first), np.concatenate(second)
+    one, two = np.concatenate(first), np.concatenate(second)
+    if len(stays) > 1:  # where the shaft turns round, it undoes changes itself
+        after = np.clip(np.searchsorted(stays, one), 1, len(stays) - 1)
+        before, behind = omega[stays[after - 1]], omega[stays[after]]
+        slow = np.abs(omega[one]) < TURNS_ROUND * np.minimum(np.abs(before), np.abs(behind))
+        goes_on = ~slow | (before * behind >= 0.0)
+        one, two = one[goes_on], two[goes_on]
+    return stays, one, two
 
 
 def by_chance(returns: Returns, which: Bools) -> float:

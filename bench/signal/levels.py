@@ -59,6 +59,8 @@ class Levels(NamedTuple):
     """and those that were wrong wholly."""
     revolutions: int
     """That were looked at."""
+    high: Floats
+    """(3,) share of all the time in which each input was 1, standing left out."""
 
 
 class _Way(NamedTuple):
@@ -87,6 +89,9 @@ def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
         found.append((unlikely - (ENCODER if way.input is None else 0.0), way.input, wrong))
     if not found:
         return None
+    lasts = np.diff(edges.tick)
+    lasts = np.minimum(lasts, 3 * np.median(lasts))
+    high = (edges.new[:-1, None] >> np.arange(3) & 1).T @ lasts / lasts.sum()
     most = max(wrong.revolutions for _, _, wrong in found)
     _, told_by, best = min(found, key=lambda each: each[0] - MISSES * each[2].revolutions / most)
     if np.count_nonzero(best.share.max(axis=1) > 0.5) > 1 or best.share.min(axis=1).sum() > SMEARED:
@@ -98,7 +103,7 @@ def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
             if others and max(map(max, others)) < SEEN_BY_OTHERS * best.share[number].max():
                 for each in (best.share, best.halves, best.whole):
                     each[number] = 0
-    return best
+    return best._replace(high=high)
 
 
 def _ways(edges: Edges, inputs: Inputs, tick_hz: float) -> Iterator[_Way]:
@@ -195,7 +200,7 @@ def _wrong(high: Floats) -> Levels:
         wrong = _off(high[:, ~misled])
     share = wrong.sum(axis=2) / max(1, wrong.shape[2])
     halves, whole = (np.count_nonzero(wrong > limit, axis=2) for limit in (PARTLY, WHOLLY))
-    return Levels(share, halves, whole, wrong.shape[2])
+    return Levels(share, halves, whole, wrong.shape[2], np.full(3, math.nan))
 
 
 def _off(high: Floats) -> Floats:
