@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 from collections.abc import Iterator
 
@@ -181,6 +182,14 @@ def test_a_host_that_no_longer_hears_the_drive_stops_feeding_its_watchdog(networ
     bench.client.run_for(0.2)
     why = r"this host sent no ALIVE for 0\.\d\d s, because the drive was silent"
     assert re.fullmatch(why, bench.client.starved(1))
+
+
+def test_garbage_is_not_looked_for_among_all_that_there_is_while_a_watchdog_is_fed(network: str) -> None:
+    bench, there = virtual(network), len(gc.get_objects())
+    bench.turn(50.0)
+    assert len(gc.get_objects()) < 0.5 * there  # a full collection goes through these
+    bench.drive.stop()
+    assert len(gc.get_objects()) > 0.9 * there
 
 
 # -- links that fail --------------------------------------------------------------------------------------------
