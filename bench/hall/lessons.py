@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from bench.errors import BenchError
 from bench.hall.trace import Recorded, pieces_of
-from bench.replay.estimators import INPUTS, Estimators
-from bench.replay.replay import not_replayable
 from bench.rig.rig import Rig
 from bench.signal.capture import Capture
 from bench.signal.trace import INPUTS as HALL_INPUTS
@@ -83,6 +81,9 @@ def _of_drive(whole: Capture | Recorded) -> Lessons:
 
 
 def _of_host(whole: Capture | Recorded) -> Lessons:
+    from bench.replay.estimators import INPUTS, Estimators
+    from bench.replay.replay import not_replayable  # numba takes 0.5 s, which a check has no need of
+
     last = _Last("the host's filter, on the recorded data")
     estimators: Estimators | None = None
     for capture in pieces_of(whole, INPUTS):

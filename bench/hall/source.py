@@ -20,7 +20,6 @@ from bench.hall import lessons
 from bench.hall.passive import watch, watched
 from bench.hall.trace import Recorded
 from bench.hall.turning import Turned, Turner
-from bench.replay.estimators import unfit
 from bench.rig.connection import SIM, open_target
 from bench.rig.consent import at_most, check_limits, require_consent
 from bench.rig.envelope import Envelope
@@ -136,8 +135,11 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
             rig.require_rest()
             require_consent(drive, options.source, at_most(drive, plan.envelope), options.yes, confirm)
             rig.prepare(recording=recording, needed=frozenset(STATOR))
-            if options.by == "filter" and rig.samples is not None and (why := unfit(rig.samples)):
-                raise BenchError(f"the Kalman filter cannot run on this stream: {why}")
+            if options.by == "filter" and rig.samples is not None:
+                from bench.replay.estimators import unfit
+
+                if why := unfit(rig.samples):
+                    raise BenchError(f"the Kalman filter cannot run on this stream: {why}")
             turned = Turner(rig, options.speed_rpm, screen.progress).spin()
         drive.stop_streams()  # nobody reads them while somebody measures
         yield Source(turned, drive)
