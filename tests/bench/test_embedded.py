@@ -54,6 +54,7 @@ def test_it_goes_on_when_nobody_reads_what_it_says() -> None:
         link.close()
 
 
+@pytest.mark.slow
 def test_it_ends_while_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
 

@@ -287,6 +287,7 @@ def test_an_angle_that_turns_too_far_between_samples_is_not_believed(tmp_path: P
     assert "ambiguous" in found["error_by_angle"].why
 
 
+@pytest.mark.slow
 @pytest.mark.long("all plots of a recording")
 def test_files_json_and_the_table(tmp_path: Path) -> None:
     result = plot(DATA / "steady.run", "-o", tmp_path / "out")

@@ -61,6 +61,7 @@ def test_jitter_and_confidence_are_those_of_the_passages():
     assert stats.binomtest(inside, widths, 0.95).pvalue > 1e-3  # 95 % of 144, neither fewer nor more
 
 
+@pytest.mark.slow
 def test_confidence_holds_where_codes_are_sampled_so_slowly_that_their_times_beat_with_the_speed():
     for seed in chosen("codes sampled", range(1000), 3):
         made = by_name(f"codes_sampled/2000/fast/unkind/encoder/{seed}").recording

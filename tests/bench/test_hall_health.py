@@ -41,7 +41,9 @@ def test_a_reversed_encoder_is_told_from_exchanged_wires_by_the_back_emf():
     assert without.cause == f"the encoder counts in the wrong direction, or {two}"
 
 
-@pytest.mark.parametrize("turned_deg", [20.0, 30.0, 91.0, -60.0, 180.0])
+@pytest.mark.parametrize(
+    "turned_deg", [30.0, *(pytest.param(each, marks=pytest.mark.slow) for each in (20.0, 91.0, -60.0, 180.0))]
+)
 def test_a_ring_that_is_turned_is_found_and_no_fault_where_the_drive_does_not_say_where_it_stands(turned_deg):
     turned = REAL.but(delta_deg=tuple(delta - turned_deg for delta in TABLE_I))
     stands = turned_deg - float(np.mean(TABLE_I))

@@ -67,6 +67,7 @@ def test_an_encoder_that_slips_opens_no_wire():
         assert "contact" not in codes, seed
 
 
+@pytest.mark.slow
 def test_a_delay_is_known_as_well_as_is_said_even_with_a_coarse_encoder():
     """Edges that are not late at all, at places that repeat with the counts of the encoder, and at others."""
     off = []

@@ -38,6 +38,7 @@ def test_by_itself_it_is_played_once_and_what_has_no_end_goes_on() -> None:
     assert [act.seconds for act in timed((endless,), 20.0)] == [20.0]
 
 
+@pytest.mark.slow
 def test_what_was_seen_in_each_act_is_what_was_recorded_in_its_last_third(tmp_path: Path) -> None:
     """By the plant's own speed in the recording, from note to note; the next act's load and speed are none of it."""
     ended = run(WatchedLink(simulated()), target=None, speed_rpm=None, duration=WHOLE, save=tmp_path / "show.run")

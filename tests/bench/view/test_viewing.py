@@ -105,6 +105,7 @@ def test_an_overview_is_made_where_none_is_stored(long: tuple[Path, np.ndarray],
         assert (mine == theirs).all()
 
 
+@pytest.mark.slow
 def test_a_browser_gets_the_same_samples_in_few_messages(tmp_path: Path) -> None:
     """Without a GPU it reads few messages a frame, and draws a frame in seconds."""
     made = synthetic.SyntheticRun(2.5, 1000.0)
@@ -120,6 +121,7 @@ def test_a_browser_gets_the_same_samples_in_few_messages(tmp_path: Path) -> None
         assert len(messages) <= 2.5 / LOT_BROWSER + 3  # one of them static
 
 
+@pytest.mark.slow
 def test_the_command_serves_the_dashboard_until_ctrl_c(long: tuple[Path, np.ndarray]) -> None:
     command = [sys.executable, "-m", "bench", "view", str(long[0]), "--from", "10", "--to", "11"]
     command += ["--viewer", "web", "--web-port", str(any_port())]

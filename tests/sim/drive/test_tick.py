@@ -224,6 +224,7 @@ def played():
     return [getattr(r, what).tobytes().hex() for r in records for what in ("samples", "edges", "load_samples", "rows")]
 
 
+@pytest.mark.slow
 def test_compiled_and_plain_python_agree_bit_for_bit():
     here = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     env = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": here}
