@@ -55,6 +55,7 @@ PARAMETERS = {record.name: record for record in DRIVE_PARAMETERS}
 OFFSET, HATS = "hall_offset", ("hall_swap_hat", "hall_invert_hat")
 SETTABLE = frozenset({"wiring", "hall_setting"})
 """Findings that parameters of the drive mend."""
+SLOWER = "let the drive capture its edges, or turn it slower"
 BOTH_WAYS = "turn the shaft forward, in reverse and forward again, at two speeds or more"
 ADVICE = "or give the firmware {} (docs/firmware.md, step 5)"
 DIRECTION = (
@@ -95,10 +96,12 @@ def learnt(health: Health, parameters: Mapping[str, float]) -> Learnt:
     measured = health.measured
     wired = _wired(health, parameters)
     widest, most = measured.widest(), math.degrees(LEARN_WITHIN)
+    coarse, step = health.resolution > LEARN_WITHIN, degrees(BEATS * health.resolution)
     if not widest <= LEARN_WITHIN:
         raise BenchError(
             f"no edges learned: the least certain is known to +-{math.degrees(widest):.2f} deg (95 %, "
-            f"{measured.least()} passages); +-{most:g} deg are needed: turn the shaft longer"
+            f"{measured.least()} passages); +-{most:g} deg are needed: "
+            + (f"a step of the times and angles is {step}: {SLOWER}" if coarse else "turn the shaft longer")
         )
     _require_consistent(health)
     settings = _settings(wired, parameters)
@@ -175,7 +178,7 @@ def _require_consistent(health: Health) -> None:
         if (moves or fit.common.drifted > LEARN_WITHIN) and largest < of_times:
             words = (
                 f"all edges moved by up to {degrees(largest)} together, less than a step of the times and angles that "
-                f"were recorded ({degrees(of_times)}): let the drive capture its edges, or turn it slower"
+                f"were recorded ({degrees(of_times)}): {SLOWER}"
             )
         elif moves and not _index(health):
             slips = ", ".join(degrees(step.size) for step in fit.common.steps)

@@ -174,7 +174,7 @@ def test_what_is_fooling_is_not_all_refused_and_healthy_drives_are_learnt() -> N
         recorded = made.capture()
         health = examine(trace(recorded))
         if health.verdict is Verdict.PASS:
-            if made.resolution and math.degrees(health.resolution) > 1.0 and too_coarse(health, recorded.parameters):
+            if made.resolution and math.degrees(health.resolution) > 0.5 and too_coarse(health, recorded.parameters):
                 continue
             found = learnt(health, recorded.parameters)
             off = np.degrees([*found.edge_up, *found.edge_down]) - edges_of(
