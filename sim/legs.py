@@ -45,7 +45,7 @@ class Along(NamedTuple):
 @kernel
 def per_ripple(u: float, L_by_T: float, per_fade: float) -> float:
     """1/A, of the current below which the loss fades at a voltage of that size (V)."""
-    return 1.0 / max(RIPPLE * u / L_by_T, LEAST / per_fade)
+    return L_by_T / max(RIPPLE * u, LEAST / per_fade * L_by_T)
 
 
 @kernel
@@ -60,9 +60,9 @@ def shape(i_alpha: float, i_beta: float, size: float, per: float) -> Shape:
     x = size * per
     by = per
     if x > 1.0:
-        x = 1.0 / (x * x)
-        by = FUNDAMENTAL / size * (1.0 - x * (1.0 / 6.0 + 0.048 * x))
-    return Shape((2.0 * f_a - f_b - f_c) / 3.0, (f_b - f_c) * ONE_BY_SQRT3, by)
+        x = 1.0 / x
+        by = FUNDAMENTAL * per * x * (1.0 - x * x * (1.0 / 6.0 + 0.048 * x * x))
+    return Shape((2.0 * f_a - f_b - f_c) * (1.0 / 3.0), (f_b - f_c) * ONE_BY_SQRT3, by)
 
 
 @kernel
