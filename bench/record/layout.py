@@ -246,7 +246,7 @@ def numbers(column: pa.ChunkedArray) -> NDArray[Any]:
 
     By its buffer, since pyarrow's own `to_numpy` (26) imports pandas where it is installed, which takes half a second.
     """
-    whole = column.combine_chunks()
+    whole = column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()  # which copies even one
     if whole.null_count:  # no recording of ours has any
         values: NDArray[Any] = whole.to_numpy(zero_copy_only=False)
         return values

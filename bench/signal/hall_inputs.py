@@ -206,12 +206,16 @@ def usual(edges: Edges) -> int:
     """
     if len(edges.tick) < 2:
         return 0
-    lasts = np.diff(edges.tick).astype(np.float64)
-    lasts = np.minimum(lasts, 3.0 * float(np.median(lasts)))
-    weight = np.bincount(edges.new[:-1] & 7, lasts, minlength=8)
+    weight = np.bincount(edges.new[:-1] & 7, lasting(edges), minlength=8)
     none = [float(weight[mask] + weight[7 ^ mask]) / float(weight.sum() or 1.0) for mask in INVERTED]
     best = int(np.argmin(none))
     return INVERTED[best] if none[best] < 0.1 and none[0] > max(0.2, 3.0 * none[best]) else 0
+
+
+def lasting(edges: Edges) -> Floats:
+    """How long each code lasted until the next, ticks (n - 1,), two edges or more; standing counts little."""
+    lasts = np.diff(edges.tick).astype(np.float64)
+    return np.clip(lasts, None, 3.0 * float(np.median(lasts)))
 
 
 def net_sectors(edges: Edges, inverted: int) -> Net:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.signal.hall_inputs import ALIKE, Bools, Inputs
+from bench.signal.hall_inputs import ALIKE, Bools, Inputs, lasting
 from bench.signal.trace import SLOW, Edges, Floats, Ints
 
 BINS = 24
@@ -79,8 +79,9 @@ def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
     found: list[tuple[float, int | None, Levels]] = []
     rises = inputs.changes.of(inputs.changes.high)
     at = np.searchsorted(edges.tick, rises.tick)
+    high = np.average(edges.new[:-1, None] >> np.arange(3) & 1, axis=0, weights=lasting(edges))
     for way in _ways(edges, inputs, tick_hz):
-        wrong = _wrong(_by_revolution(edges, way))
+        wrong = _wrong(_by_revolution(edges, way), high)
         if wrong.revolutions < LEAST:
             continue
         n = np.bincount(rises.input[way.known[at]], minlength=3)
@@ -89,9 +90,6 @@ def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
         found.append((unlikely - (ENCODER if way.input is None else 0.0), way.input, wrong))
     if not found:
         return None
-    lasts = np.diff(edges.tick)
-    lasts = np.minimum(lasts, 3 * np.median(lasts))
-    high = (edges.new[:-1, None] >> np.arange(3) & 1).T @ lasts / lasts.sum()
     most = max(wrong.revolutions for _, _, wrong in found)
     _, told_by, best = min(found, key=lambda each: each[0] - MISSES * each[2].revolutions / most)
     if np.count_nonzero(best.share.max(axis=1) > 0.5) > 1 or best.share.min(axis=1).sum() > SMEARED:
@@ -103,7 +101,7 @@ def levels(edges: Edges, inputs: Inputs, tick_hz: float) -> Levels | None:
             if others and max(map(max, others)) < SEEN_BY_OTHERS * best.share[number].max():
                 for each in (best.share, best.halves, best.whole):
                     each[number] = 0
-    return best._replace(high=high)
+    return best
 
 
 def _ways(edges: Edges, inputs: Inputs, tick_hz: float) -> Iterator[_Way]:
@@ -192,15 +190,15 @@ def _turned_alike(high: Floats, run: Ints) -> Floats:
     return high[:, known]
 
 
-def _wrong(high: Floats) -> Levels:
+def _wrong(by_revolution: Floats, high: Floats) -> Levels:
     """Where inputs had the wrong level, by what they mostly have in each part of a revolution."""
-    wrong = _off(high)
+    wrong = _off(by_revolution)
     misled = (wrong.max(axis=0) > 0.5).all(axis=0)  # one to 0 and another to 1 at once: no wires, told wrongly
     if misled.any():
-        wrong = _off(high[:, ~misled])
+        wrong = _off(by_revolution[:, ~misled])
     share = wrong.sum(axis=2) / max(1, wrong.shape[2])
     halves, whole = (np.count_nonzero(wrong > limit, axis=2) for limit in (PARTLY, WHOLLY))
-    return Levels(share, halves, whole, wrong.shape[2], np.full(3, math.nan))
+    return Levels(share, halves, whole, wrong.shape[2], high)
 
 
 def _off(high: Floats) -> Floats:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
-from bench.signal.chunks import contiguous
+from bench.signal.chunks import as_bytes, contiguous
 from bench.signal.position import running
 from bench.signal.windows import Window, windows
 from protocol.streams import EdgeChunk, SampleChunk
@@ -163,9 +163,8 @@ class Trace:
             moving = np.abs(omega[own]) >= SLOW
             self.up += float(way[moving & (way > 0)].sum())
             self.down -= float(way[moving & (way < 0)].sum())
-        current = _current(capture)
-        self._add_some(capture, own, hall, theta, omega, current)
-        edges = self._add_edges(capture, theta, omega, current)
+        self._add_some(capture, own, hall, theta, omega)
+        edges = self._add_edges(capture, theta, omega)
         self.samples += own.stop - own.start
         return edges
 
@@ -176,22 +175,20 @@ class Trace:
         self._angle = float(theta[own.stop - 1])
         return theta
 
-    def _add_some(
-        self, capture: Capture, own: slice, hall: Ints, theta: Floats, omega: Floats, current: Floats
-    ) -> None:
+    def _add_some(self, capture: Capture, own: slice, hall: Ints, theta: Floats, omega: Floats) -> None:
         at = np.arange(len(hall))[own][-self.samples % self._every :: self._every]
-        u = i = np.full(len(hall), complex(math.nan, math.nan))
+        some, on = _at(capture, at), driven(capture)[at]
+        u = i = np.full(len(at), complex(math.nan, math.nan))
         if all(name in capture for name in STATOR):
-            u, i = stator(capture)
-        columns = (capture.samples.tick, hall, theta, omega, current, u, i, driven(capture))
-        self._some.append(Some(*(column[at] for column in columns)))  # type: ignore[arg-type]
+            u, i = stator(some)
+        self._some.append(Some(some.samples.tick, hall[at], theta[at], omega[at], _current(some), u, i, on))
         self._kept += len(at)
         while self._kept > self._most:
             self._every *= 2
             self._some = [_of(self.some, slice(None, None, 2))]
             self._kept = len(self._some[0].tick)
 
-    def _add_edges(self, capture: Capture, theta: Floats, omega: Floats, current: Floats) -> Edges:
+    def _add_edges(self, capture: Capture, theta: Floats, omega: Floats) -> Edges:
         raw = capture.edges
         tick, old, new = raw.tick, raw.hall_old.astype(np.int64) & 7, raw.hall_new.astype(np.int64) & 7
         used = np.ones(len(tick), bool)
@@ -205,11 +202,12 @@ class Trace:
             self.unplaced += int(np.count_nonzero(~known))
             self.slow += int(np.count_nonzero(known & ~used))
         np.add.at(self.changed, (old[used], new[used]), 1)
-        near = np.clip(np.searchsorted(capture.samples.tick, tick), 0, len(current) - 1)
         breaks = np.sort(np.append(_after_gaps(capture.samples), _after_gaps(raw)))
         stretch = self.breaks + np.searchsorted(breaks, tick, "right")
         self.breaks += len(breaks)
-        added = Edges(tick, old, new, angle, rate, current[near], (stretch << BITS) + raw.index // BLOCK)
+        near = np.clip(np.searchsorted(capture.samples.tick, tick), 0, len(capture) - 1)
+        current = _current(_at(capture, near))
+        added = Edges(tick, old, new, angle, rate, current, (stretch << BITS) + raw.index // BLOCK)
         self._edges.append(self._evenly(added))
         self.came += len(tick)
         self._kept_edges += len(self._edges[-1].tick)
@@ -307,6 +305,14 @@ def _after_gaps(chunk: SampleChunk | EdgeChunk) -> Ints:
     return chunk.tick[positions]
 
 
+def _at(capture: Capture, rows: Ints) -> Capture:
+    """Only these of the samples, in this order."""
+    samples = capture.samples
+    raw = as_bytes(samples.raw)[rows].view(samples.raw.dtype)
+    samples = replace(samples, index=samples.index[rows], tick=samples.tick[rows], raw=raw, gaps=())
+    return replace(capture, samples=samples)
+
+
 def _current(capture: Capture) -> Floats:
     """Size of the current vector: by its dq components, else by two phases."""
     if "i_d" in capture and "i_q" in capture:
@@ -318,10 +324,9 @@ def _current(capture: Capture) -> Floats:
 
 def speed(theta: Floats, t: Floats) -> Floats:
     """Speed at each sample from the samples `SLOPE` before and after it."""
-    n = len(theta)
-    reach = max(1, round(SLOPE / float(np.median(np.diff(t))))) if n > 1 else 1
-    before, after = np.maximum(np.arange(n) - reach, 0), np.minimum(np.arange(n) + reach, n - 1)
-    slope: Floats = (theta[after] - theta[before]) / np.maximum(t[after] - t[before], 1e-9)
+    reach = max(1, round(SLOPE / float(np.median(np.diff(t))))) if len(t) > 1 else 1
+    gone, took = (x[2 * reach :] - x[: -2 * reach] for x in (np.pad(theta, reach, "edge"), np.pad(t, reach, "edge")))
+    slope: Floats = gone / np.maximum(took, 1e-9)
     return slope
 
 
