@@ -169,7 +169,8 @@ def test_edges_are_refused_or_no_farther_off_than_three_times_edge_sd(seed: int)
 
 def test_what_is_fooling_is_not_all_refused_and_healthy_drives_are_learnt() -> None:
     kept = 0
-    for seed in chosen("healthy drives that are learnt", range(0, 300, 5), 6):
+    few_turns = range(40, 300, 50)  # one pole pair, by hand
+    for seed in chosen("healthy drives that are learnt", sorted(set(range(0, 300, 5)) - set(few_turns)), 6):
         made = telling_ring(healthy(seed).but(encoder=Encoder()))
         recorded = made.capture()
         health = examine(trace(recorded))
