@@ -31,7 +31,7 @@ made = synthetic.SyntheticRun(20.0)
 file = sink.RunSink(sys.argv[1], synthetic.run_info())
 started = time.monotonic()
 for chunk in made.chunks(160):
-    (file.samples if hasattr(chunk, "raw") else file.edges)(chunk)
+    file.take(chunk)
     if hasattr(chunk, "raw"):
         print(int(chunk.tick[-1]), flush=True)
         time.sleep(max(0.0, (chunk.tick[-1] - made.tick[0]) / 2e7 - (time.monotonic() - started)))
