@@ -71,6 +71,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("drawn")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", sampled("plots", KINDS, 1, campaign="viewer"))
 def test_plots_are_those_of_the_command(kind: str, drawn: Path) -> None:
     plots = bench.plot(sources(STEADY)[kind], 0.1)

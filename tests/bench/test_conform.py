@@ -78,6 +78,7 @@ def test_the_simulated_drive_passes_every_level(network: str, compiled: bool) ->
     assert device.bench.parameters == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("baud", sampled("baud", (57_600, 115_200), 1, campaign="conform"))
 def test_a_slow_uart_is_no_fault_of_the_device(baud: int) -> None:
     run = on_uart(STREAMS, baud)
@@ -85,6 +86,7 @@ def test_a_slow_uart_is_no_fault_of_the_device(baud: int) -> None:
     assert ended(run, Verdict.INVALID) == ["stream.edges-before-samples"]  # its motor is at rest
 
 
+@pytest.mark.slow
 def test_a_level_has_those_below_it_and_nothing_is_energised_below_the_third() -> None:
     counts = []
     for level in LEVELS[:4]:
@@ -121,6 +123,7 @@ def test_what_was_not_seen_is_unknown_and_the_claim_names_it() -> None:
     assert outcome(run).exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_level_whose_start_was_refused_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
     device = simulated()
     enter = device.drive.app.enter_state

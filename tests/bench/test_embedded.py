@@ -32,6 +32,7 @@ def test_a_configuration_that_it_cannot_have_is_one_line(tmp_path: Path, text: s
     assert notes == []
 
 
+@pytest.mark.slow
 def test_it_is_not_in_the_process_group_that_a_terminal_interrupts() -> None:
     with EmbeddedDrive() as drive:
         pid = drive._process.pid
@@ -42,6 +43,7 @@ def test_it_is_not_in_the_process_group_that_a_terminal_interrupts() -> None:
         link.close()
 
 
+@pytest.mark.slow
 def test_it_goes_on_when_nobody_reads_what_it_says() -> None:
     with EmbeddedDrive() as drive:
         link = open_link(drive.target)

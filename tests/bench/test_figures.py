@@ -57,6 +57,7 @@ def currents(theta: np.ndarray) -> dict[str, np.ndarray]:
 # -- spectrum -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.long("plots of a long recording")
 @pytest.mark.parametrize("encoder", sampled("encoder", (True, False), 1, campaign="examples"))
 def test_the_distortion_is_that_of_the_harmonics(encoder: bool, tmp_path: Path) -> None:
@@ -322,6 +323,7 @@ def test_none_that_can_be_drawn_is_an_error(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.long("all plots of a recording")
 def test_damage_is_told_and_the_rest_is_drawn_and_compared(tmp_path: Path) -> None:
     path, kept = tmp_path / "a.run", DATA / "steady.run"

@@ -58,6 +58,7 @@ def test_inputs_of_drives_that_are_well_have_hardly_a_wrong_level():
         assert found is None or found.share.max() < 0.05, seed
 
 
+@pytest.mark.slow
 def test_an_encoder_that_slips_opens_no_wire():
     for seed in chosen("levels with slips", range(20), 3):
         made = drive(seed, True)
@@ -83,6 +84,7 @@ def test_a_delay_is_known_as_well_as_is_said_even_with_a_coarse_encoder():
     assert np.mean(np.array(off) <= 1.0) >= 0.8, off  # 95 % of them, of a dozen
 
 
+@pytest.mark.slow
 def test_an_input_that_bounces_without_an_encoder_is_no_bad_contact():
     """Edges that return three times look like revolutions in which nothing else moves."""
     for case in chosen("bounces, blind", [case for case in cases("bounce_some", seeds=30) if not case.encoder], 8):

@@ -63,6 +63,7 @@ def test_a_drive_that_trips_distrusts_the_dead_sensor_to_the_end(tmp_path: Path)
     assert ended.summary.distrusted["b"] > 0.5
 
 
+@pytest.mark.slow
 def test_of_a_loose_contact_little_is_said(tmp_path: Path) -> None:
     """The channel changes much more often than a person would read."""
     _, said, recording = words_of(tmp_path / "a.run", PATIENT | LOOSE_B, speed_rpm=2000.0, duration=8.0)

@@ -168,6 +168,7 @@ def test_a_fault_is_said_once_soon_after_it_began(recording: Recording, code: st
     assert {finding.code for finding in judge.findings()} == {f.code for f in examine(trace(seen)).findings} == {code}
 
 
+@pytest.mark.slow
 def test_of_many_edges_of_which_some_are_measured_none_seems_dead() -> None:
     """600 edges a second: of those of the last seconds, and of all, every second block is kept."""
     fast = Recording(way=Way(((0.0, 1000.0), (25.0, 1000.0)), ((0.0, 25.0),)))
@@ -177,6 +178,7 @@ def test_of_many_edges_of_which_some_are_measured_none_seems_dead() -> None:
         assert (judge.findings(), said) == ([], [])
 
 
+@pytest.mark.slow
 def test_gaps_and_a_new_clock_are_no_faults() -> None:
     """Pieces are lost, samples and edges; then the drive boots again."""
     seen = healthy(11).capture()
@@ -211,6 +213,7 @@ def test_a_judge_that_fails_ends_no_run(monkeypatch: pytest.MonkeyPatch) -> None
     assert "Hall sensors (they could not be judged: ValueError: five is no number)" in ended.summary.result
 
 
+@pytest.mark.slow
 def test_of_a_healthy_drive_nothing_is_said() -> None:
     for seed in chosen("live hall", range(300), 4):
         judge, said = of_capture(healthy(seed).capture())

@@ -270,6 +270,7 @@ def test_captures_of_one_motor_agree_within_their_errors(motor: Motor, way: int)
         assert len(found) == 2 or (len(found) == 6 and per_freedom > 0.1), (k, per_freedom)
 
 
+@pytest.mark.slow
 def test_the_table_in_the_docs_is_what_the_check_says() -> None:
     from docs import make_real_halls
 

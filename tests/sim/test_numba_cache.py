@@ -169,6 +169,7 @@ while stopped < 60:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "action", sampled("storm", ("advance", "make a drive", "make an observer"), 1, campaign="kernels")
 )

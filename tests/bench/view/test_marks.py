@@ -108,6 +108,7 @@ def test_a_mark_that_ends_before_it_begins_is_refused(tmp_path: Path) -> None:
     assert Run(tmp_path / "a.run").marks == ()
 
 
+@pytest.mark.slow
 @needs("Vulkan driver")
 def test_the_dashboard_has_the_lane_where_there_are_marks(marked: Path) -> None:
     with headless("--window-size", "1600x900") as viewer:
