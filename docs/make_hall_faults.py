@@ -4,7 +4,8 @@ python docs/make_hall_faults.py [--quick] [--only FAULT] [--first N] [--case NAM
 
 Without options: all faults, sizes, motors and speeds, 5 seeds each, and the page is written. --quick: one seed each;
 --only: faults with this in their name; --first: seeds from N on, of cases that nobody has looked at; --case: one case,
-with all that was said; --healthy: N drives that nothing is wrong with instead; --live: before the judge of `bench
+with all that was said; --healthy: N drives that nothing is wrong with instead, and how often the intervals hold
+that are stated of where their sensors stand; --live: before the judge of `bench
 live`, piece by piece; --wrong: how many wrong verdicts of each fault and size are shown. Only a whole run, without
 options, writes the page.
 """
@@ -21,6 +22,8 @@ from multiprocessing import Pool
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 DOCS = Path(__file__).parent
 PAGE = DOCS / "hall-faults.md"
 sys.path.insert(0, str(DOCS.parent))  # for `tests`
@@ -30,10 +33,11 @@ from bench.findings.health import examine  # noqa: E402
 from bench.hall.trace import trace  # noqa: E402
 from bench.live.plausible import Plausibility  # noqa: E402
 from bench.signal.capture import Capture  # noqa: E402
+from bench.signal.hall_edges import measure  # noqa: E402
 from bench.signal.position import ErrorTable  # noqa: E402
 from tests.bench.hall_cases.drives import healthy  # noqa: E402
 from tests.bench.hall_cases.faults import FAULTS, Case, Fault, by_name, cases  # noqa: E402
-from tests.bench.hall_cases.recording import pieces  # noqa: E402
+from tests.bench.hall_cases.recording import Recording, pieces  # noqa: E402
 
 OUTCOMES = ("right", "cannot tell", "missed", "wrong")
 
@@ -53,6 +57,8 @@ class Result(NamedTuple):
     outcome: str
     said: Said
     large: bool
+    held: tuple[bool, ...] = ()
+    """Of a healthy drive: whether each sensor's true place is within what is stated."""
 
 
 def judged(capture: Capture, live: bool) -> Said:
@@ -84,9 +90,21 @@ def try_case(asked: tuple[Case, bool]) -> Result:
 def try_healthy(asked: tuple[int, bool]) -> Result:
     """Judge a drive that nothing is wrong with."""
     seed, live = asked
-    said = judged(healthy(seed).capture(), live)
+    made = healthy(seed)
+    capture = made.capture()
+    said = judged(capture, live)
     outcome = "wrong" if said.findings else "cannot tell" if said.verdict == "INVALID" else "right"
-    return Result(f"healthy/{seed}", outcome, said, False)
+    return Result(f"healthy/{seed}", outcome, said, False, () if live else held(made, capture))
+
+
+def held(made: Recording, capture: Capture) -> tuple[bool, ...]:
+    """Whether each sensor's true place, against the mean of the three, lies in the interval that is stated of it."""
+    measured = measure(trace(capture))
+    if measured.fit is None:
+        return ()
+    off = np.abs(measured.placement - np.radians(np.subtract(made.sensors.displaced, np.mean(made.sensors.displaced))))
+    half_width = measured.placement_half_width[0]
+    return tuple((off <= half_width)[np.isfinite(off)].tolist())
 
 
 def page(results: Sequence[Result]) -> str:
@@ -206,6 +224,9 @@ def main() -> None:
             print(detail(result))
     table(results)
     print(summary(results))
+    if stated := [each for result in results for each in result.held]:
+        share = 100.0 * sum(stated) / len(stated)
+        print(f"{share:.1f} % of {len(stated)} stated intervals of 95 % hold the sensor's place")
     if len(sys.argv) == 1:
         PAGE.write_text(page(results))
 
