@@ -318,7 +318,6 @@ def plain(text: str) -> str:
     return " ".join(text.replace("**", "").split())
 
 
-@pytest.mark.slow
 @pytest.mark.real_time
 @pytest.mark.long("a level of checks in real time")
 def test_the_command_on_a_pty() -> None:

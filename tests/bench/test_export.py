@@ -496,7 +496,6 @@ def test_whoever_ends_it_finds_nothing_half_done(minute, tmp_path, start, number
 
 
 @pytest.mark.long("a minute and more of samples")
-@pytest.mark.slow
 @pytest.mark.parametrize("ending", sampled("memory", (".csv", ".mf4", ".parquet"), 1, campaign="memory"))
 def test_a_long_run_takes_no_more_memory_than_a_short_one(tmp_path: Path, ending: str) -> None:
     peaks = []

@@ -57,7 +57,6 @@ def currents(theta: np.ndarray) -> dict[str, np.ndarray]:
 # -- spectrum -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 @pytest.mark.long("plots of a long recording")
 @pytest.mark.parametrize("encoder", sampled("encoder", (True, False), 1, campaign="examples"))
 def test_the_distortion_is_that_of_the_harmonics(encoder: bool, tmp_path: Path) -> None:
@@ -288,7 +287,6 @@ def test_an_angle_that_turns_too_far_between_samples_is_not_believed(tmp_path: P
     assert "ambiguous" in found["error_by_angle"].why
 
 
-@pytest.mark.slow
 @pytest.mark.long("all plots of a recording")
 def test_files_json_and_the_table(tmp_path: Path) -> None:
     result = plot(DATA / "steady.run", "-o", tmp_path / "out")
@@ -323,7 +321,6 @@ def test_none_that_can_be_drawn_is_an_error(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.long("all plots of a recording")
 def test_damage_is_told_and_the_rest_is_drawn_and_compared(tmp_path: Path) -> None:
     path, kept = tmp_path / "a.run", DATA / "steady.run"

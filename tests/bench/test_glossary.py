@@ -139,7 +139,6 @@ def test_descriptions_use_the_words_of_the_glossary() -> None:
     assert broken(iter(texts)) == []
 
 
-@pytest.mark.slow
 @pytest.mark.long("the whole suite")
 def test_limits_use_the_words_of_the_glossary(suite_run: Path) -> None:
     limits = [m.limits for m in run_from_json(json.loads((suite_run / "a.json").read_text())).measurements]

@@ -10,7 +10,7 @@ import pytest
 
 from tests.benchmarks.bench_kills import LATEST, SHORT, WATCHDOG, drive, kill
 
-pytestmark = [pytest.mark.alone, pytest.mark.slow, pytest.mark.campaign("kills"), pytest.mark.long("real time")]
+pytestmark = [pytest.mark.alone, pytest.mark.campaign("kills"), pytest.mark.long("real time")]
 
 RESULTS = {
     signal.SIGKILL: ("watchdog", -signal.SIGKILL, ""),

@@ -21,7 +21,7 @@ from bench.record.reader import Run
 from tests.choice import sampled
 from tests.tools import require
 
-pytestmark = [pytest.mark.real_time, pytest.mark.slow, pytest.mark.long("drive and host in real time")]
+pytestmark = [pytest.mark.real_time, pytest.mark.long("drive and host in real time")]
 
 Start = Callable[..., Program]
 StartSim = Callable[..., Sim]

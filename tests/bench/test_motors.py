@@ -26,7 +26,7 @@ from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from tests.choice import chosen, sampled
 
-pytestmark = [pytest.mark.slow, pytest.mark.long("a whole show for each fault")]
+pytestmark = [pytest.mark.long("a whole show for each fault")]
 
 NO_LOAD = {  # r/min at 24 V by the figures that the sources have
     "anaheim-bly172s-24v": 60 * 24 / math.sqrt(3) / 0.0343291 / 4,  # V/Hz

@@ -23,7 +23,7 @@ from protocol.messages import DriveState, EventCode, Fault, Feature, Role
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS
 from protocol.streams import SampleChunk
 
-pytestmark = [pytest.mark.slow, pytest.mark.long("a simulated drive in a process of its own")]
+pytestmark = [pytest.mark.long("a simulated drive in a process of its own")]
 
 SIMS = {
     "pty": ("--pty",),

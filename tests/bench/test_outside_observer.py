@@ -72,7 +72,7 @@ class Site:
         return Run(self.folder / "a.run")
 
 
-pytestmark = [pytest.mark.slow, pytest.mark.long("five seconds of a drive in real time")]
+pytestmark = [pytest.mark.long("five seconds of a drive in real time")]
 
 
 @pytest.fixture(scope="module")

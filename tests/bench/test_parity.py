@@ -23,7 +23,7 @@ from protocol.signals import AngleSource, Status
 from sim.observers.catalogue import CATALOGUE
 from tests.choice import chosen
 
-pytestmark = [pytest.mark.slow, pytest.mark.long("all observers, twice")]
+pytestmark = [pytest.mark.long("all observers, twice")]
 
 TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)  # deg, of Kim et al. 2011: for those who are told where the edges lie
 ESTIMATES = tuple(f"+{name}" for name in CHECKED)

@@ -193,7 +193,6 @@ print(len(bench.read(path, 30.0, 31.0)))
 """
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="a limit of the address space")
 @pytest.mark.long("a run that does not fit")
 def test_more_than_fits_into_memory_is_refused_and_read_in_pieces(tmp_path: Path) -> None:
@@ -242,7 +241,6 @@ def peak(run: Callable[[], object]) -> int:
         tracemalloc.stop()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", sampled("memory", ("score", "check"), 1, campaign="memory"))
 @pytest.mark.long("a run that does not fit")
 def test_memory_does_not_grow_with_the_run(tmp_path, small_groups: None, monkeypatch, what: str) -> None:

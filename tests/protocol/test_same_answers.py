@@ -228,7 +228,6 @@ def test_c_says_what_python_says(steps: list, two_nodes: bool) -> None:
     play(steps, [python, c], fault, compare)
 
 
-@pytest.mark.slow
 @pytest.mark.long("many random sessions")
 @examples(30, 1000, campaign="c")
 @given(st.lists(STEP, min_size=30, max_size=60))

@@ -339,7 +339,6 @@ def test_a_figure_or_a_directory_that_is_missing_is_named(tmp_path: Path) -> Non
 
 
 @pytest.mark.long("a browser prints the page")
-@pytest.mark.slow
 @needs("chromium", "pdftotext")
 def test_on_paper_pages_are_numbered_nothing_is_folded_and_the_signatures_are_on_one_page(tmp_path: Path) -> None:
     figure, (ax,) = style.new_figure()

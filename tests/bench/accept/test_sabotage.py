@@ -36,7 +36,7 @@ from sim.drive.machine import Recorded, SimulatedBench
 from sim.ports.device import SimulatedDevice
 from tests.choice import sampled
 
-pytestmark = [pytest.mark.slow, pytest.mark.long("a good part of the suite for each sabotage")]
+pytestmark = [pytest.mark.long("a good part of the suite for each sabotage")]
 
 SABOTAGES = tomllib.loads(Path(__file__).with_name("sabotage.toml").read_text())
 BROKEN_CONFIGS = [name for name, sabotage in SABOTAGES.items() if "config" in sabotage]

@@ -28,7 +28,7 @@ from tests.choice import sampled
 from tests.tools import needs
 from tests.viewers import TIMEOUT, HeadlessViewer, headless
 
-pytestmark = [pytest.mark.slow, pytest.mark.long("rerun's viewer draws in software")]
+pytestmark = [pytest.mark.long("rerun's viewer draws in software")]
 
 SPEEDS = (0, 100, 1000, 3000)  # r/min
 SECONDS = {100: 3.0}

@@ -97,7 +97,6 @@ def health(start: Callable[..., Program], target: str) -> dict:
     return node["health"]
 
 
-@pytest.mark.slow
 def test_a_drive_is_known_turns_loses_nothing_and_stops(start: Callable[..., Program], target: str) -> None:
     (node,) = told(start("info", target, "--json", "-"))["nodes"]
     assert node["identity"]["features"] == ["edges", "simulated"]

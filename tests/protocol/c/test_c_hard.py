@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from building import LARGE, ROOT, SANITIZED, SMALL, build, compiler, options, run
 
-pytestmark = [pytest.mark.slow, pytest.mark.long("compiles with sanitizers")]
+pytestmark = [pytest.mark.long("compiles with sanitizers")]
 
 VECTORS = {file.stem: json.loads(file.read_text()) for file in (ROOT / "protocol" / "vectors").glob("*.json")}
 AS_IN_VECTORS = {
