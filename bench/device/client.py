@@ -52,7 +52,7 @@ from protocol.wire import Decoder, StreamFrames
 
 R = TypeVar("R", bound=Payload)
 
-ALIVE_PERIOD = 0.03  # s, and up to a turn more
+ALIVE_PERIOD = 0.04  # s, and up to a turn more
 FRESH = 0.3  # s without a frame from a node after which its ALIVE is withheld: three heartbeats
 WATCHDOG = 0.2  # s: what a drive waits for ALIVE if it has no parameter that says otherwise
 POLL = 0.02  # s: how long one turn waits for bytes

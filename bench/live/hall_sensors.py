@@ -26,7 +26,7 @@ from bench.signal import hall_inputs
 from bench.signal.capture import Capture
 from bench.signal.pieces import PIECE, Pieces
 from bench.signal.trace import AROUND, Edges, Trace
-from bench.signal.waveforms.sectors import SECTORS
+from bench.signal.waveforms.sectors import SECTORS, steps_between
 from bench.signal.windows import Window, Windows
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
@@ -80,20 +80,16 @@ class HallJudge:
 
     def add(self, capture: Capture, follows: bool) -> None:
         """Look at a piece; `follows`: it follows the one before."""
-        if not follows:
-            for window in self._windows.end():
-                self._look(window)
-        for window in self._windows.add(capture):
+        for window in [*([] if follows else self._windows.end()), *self._windows.add(capture)]:
             self._look(window)
 
     def end(self) -> list[Finding]:
         """What is wrong by all of the run, and what was with its inputs for a while."""
         for window in self._windows.end():
             self._look(window)
-        found: list[Finding] = []
+        found = list(self._kept)
         if self.whole.samples:
             found += told(self.whole) if self._edges else wiring.by_samples(self.whole)
-        found = [*self._kept, *found]
         if not any(finding.code in OF_INPUTS for finding in found):
             found += [finding for finding in self._named.values() if finding.code in OF_INPUTS]
         return found
@@ -116,11 +112,10 @@ class HallJudge:
         recent = Trace(RECENT_SAMPLES, RECENT_EDGES if due else MOST_EDGES)
         for each in self._recent:
             recent.add(each)
-        ticks = window.samples.tick
         new = [finding for finding in told(recent) if _name(finding) not in self._named]
         for finding in new:
             self._named[_name(finding)] = finding
-            self.said.append(Said(finding, int(ticks[0]), int(ticks[-1])))
+            self.said.append(Said(finding, *window.samples.tick[[0, -1]].tolist()))
         if not due:
             self._patient = 0 if new else min(2 * self._patient + 1, MOST_PATIENT)
             self._patience = self._patient
@@ -140,6 +135,9 @@ def told(trace: Trace) -> list[Finding]:
 
 def suspicious(edges: Edges, tick_hz: float) -> bool:
     """Whether an input returned, or did not change while another did."""
+    gone = steps_between(edges.old, edges.new)
+    if abs(gone.sum()) == len(gone) and np.abs(gone).max(initial=0.0) <= 1.0:  # sector after sector, one way
+        return False
     inputs = hall_inputs.read(edges, tick_hz)
     changed = np.bincount(inputs.changes.input, minlength=3)
     return len(inputs.returns) >= PULSES or bool(changed.min() == 0 and changed.max() >= SECTORS)

@@ -448,7 +448,8 @@ def _level(at: _Passages, turn: Ints) -> Floats:
 
 def _medians(values: Floats, group: Ints, groups: int) -> Floats:
     """The median in each group; NaN in an empty one."""
-    order = np.lexsort((values, group))
+    order = np.argsort(values)
+    order = order[np.argsort(group[order].astype(np.min_scalar_type(groups)), kind="stable")]  # radix sort: 2 bytes
     count = np.bincount(group, minlength=groups)
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
     ordered = np.append(values[order], math.nan)

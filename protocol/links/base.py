@@ -21,8 +21,8 @@ MAX_READ = 65536
 SLICE = 0.01
 """Seconds after which a settling read empties the kernel's buffer: a pty holds 12 KiB."""
 
-REFILL = 0.0005
-"""Seconds that a settled read waits for the kernel to refill the buffer that it has just emptied."""
+FULL, REFILL = 4095, 0.0005
+"""Bytes that Linux keeps ready of a tty's: a read of fewer took all; seconds in which it makes more of them ready."""
 
 WRITE_TIMEOUT = 0.5
 """Seconds that `write` may take; a link that takes nothing for so long has failed."""
@@ -38,7 +38,7 @@ class Link(Protocol):
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """Bytes that have arrived, at most `MAX_READ`; b"" when none came within `timeout` seconds.
 
-        `settle` is the time in seconds to go on collecting after the first byte: a reader of a stream that
+        `settle` is the time in seconds to go on collecting after the first byte, about: a reader of a stream that
         trickles in wakes once every `settle` seconds instead of at every packet.
 
         Raises:
@@ -78,6 +78,7 @@ class DescriptorLink(ABC):
         self.name = name
         """The link as errors show it."""
         self._heard = False  # whether anything came since it was opened
+        self._emptied = 0.0  # when the kernel's buffer last was, s of the monotonic clock: it fills up from then on
         self._held: list[bytes] = []  # received, and not returned yet: an exception of a signal may end a read
 
     def clock(self) -> float:
@@ -130,24 +131,24 @@ class DescriptorLink(ABC):
                 return b""
         except OSError as error:
             raise self._gone(error) from None
-        until = time.monotonic() + settle
+        until = max(time.monotonic(), self._emptied + SLICE) + settle if settle > 0.0 else 0.0
         while True:
-            pause = min(until - time.monotonic(), SLICE)
-            if pause > 0.0:
+            if (pause := min(until, self._emptied + SLICE) - time.monotonic()) > 0.0:
                 time.sleep(pause)
-            if not self._drain(fd, until + SLICE if settle > 0.0 else 0.0) or time.monotonic() >= until:
+            self._emptied = time.monotonic()
+            if not self._drain(fd, REFILL if settle > 0.0 else 0.0) or time.monotonic() >= until:
                 parts, self._held = self._held, []
                 return parts[0] if len(parts) == 1 else b"".join(parts)
 
-    def _drain(self, fd: int, until: float) -> bool:
+    def _drain(self, fd: int, refill: float) -> bool:
         """Hold what has arrived, up to `MAX_READ` in all; False if no more can be taken now.
 
-        More is not waited for after `until`, s of the monotonic clock.
+        Linux hands a pty's bytes over by another thread: after each read of `FULL` `refill` s are waited for more.
         """
+        wait = 0.0
         while (free := MAX_READ - sum(map(len, self._held))) > 0:
             try:
-                # Linux hands a pty's bytes over 4 KiB at a time, from another thread: look whether more comes at once
-                if not self._come(fd, REFILL if time.monotonic() < until else 0.0):
+                if not self._come(fd, wait):
                     return True
                 part = os.read(self._fileno(), free)
             except BlockingIOError:
@@ -162,6 +163,9 @@ class DescriptorLink(ABC):
                 raise self._gone(None)
             self._heard = True
             self._held.append(part)
+            if len(part) < FULL:
+                return True
+            wait = refill
         return False
 
     def write(self, data: bytes) -> None:

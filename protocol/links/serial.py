@@ -107,12 +107,11 @@ class SerialLink(DescriptorLink):
 
         On a busy machine that was 0.3 s, too long for a drive's watchdog: it is only asked how many bytes there are.
         """
-        end = time.monotonic() + timeout
-        while not int.from_bytes(fcntl.ioctl(fd, termios.FIONREAD, bytes(4)), sys.byteorder):
-            left = end - time.monotonic()
-            if left <= 0.0:
+        end = 0.0
+        while not any(fcntl.ioctl(fd, termios.FIONREAD, bytes(4))):
+            if (now := time.monotonic()) >= (end := end or now + timeout):
                 return False
-            time.sleep(min(left, LOOK))
+            time.sleep(min(end - now, LOOK))
         return True
 
     def _fileno(self) -> int:

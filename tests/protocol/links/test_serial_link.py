@@ -46,7 +46,7 @@ def test_read_takes_all_that_has_come(port: PtyPort, link: SerialLink) -> None:
 def test_a_read_ends_in_time_however_much_goes_on_coming(
     port: PtyPort, link: SerialLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bytes trickle in for a second, never as far apart as a refill is waited for."""
+    """Bytes trickle in for a second, never as far apart as more is waited for after a read of all that Linux holds."""
     monkeypatch.setattr("protocol.links.base.REFILL", 0.2)
     writer = threading.Thread(target=lambda: [(port.write(b"x"), time.sleep(0.002)) for _ in range(500)])
     writer.start()
