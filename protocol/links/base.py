@@ -18,8 +18,9 @@ from protocol.wire import ByteWire, HostWire
 MAX_READ = 65536
 """Most bytes that one `read` returns."""
 
-SLICE = 0.01
-"""Seconds after which a settling read empties the kernel's buffer: a pty holds 12 KiB."""
+SLICE, AGAIN, BRIM = 0.01, 0.001, 12285
+"""Seconds after which a settling read empties the kernel's buffer, and after which it does where that had held so many
+bytes: a pty was full then, and its writer has more."""
 
 FULL, REFILL = 4095, 0.0005
 """Bytes that Linux keeps ready of a tty's: a read of fewer took all; seconds in which it makes more of them ready."""
@@ -78,8 +79,8 @@ class DescriptorLink(ABC):
         self.name = name
         """The link as errors show it."""
         self._heard = False  # whether anything came since it was opened
-        self._emptied = 0.0  # when the kernel's buffer last was, s of the monotonic clock: it fills up from then on
-        self._held: list[bytes] = []  # received, and not returned yet: an exception of a signal may end a read
+        self._due = 0.0  # s of the monotonic clock, when the kernel's buffer should be emptied
+        self._held = bytearray()  # received, and not returned yet: an exception of a signal may end a read
 
     def clock(self) -> float:
         """Seconds of the machine's monotonic clock."""
@@ -125,20 +126,21 @@ class DescriptorLink(ABC):
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`."""
         fd = self._require_open()
-        come = self._come if settle > 0.0 else readable
         try:
-            if not self._held and not come(fd, max(0.0, timeout)):
+            if not self._held and not (self._come if settle > 0.0 else readable)(fd, max(0.0, timeout)):
                 return b""
         except OSError as error:
             raise self._gone(error) from None
-        until = max(time.monotonic(), self._emptied + SLICE) + settle if settle > 0.0 else 0.0
+        until = max(time.monotonic(), self._due) + settle if settle > 0.0 else 0.0
         while True:
-            if (pause := min(until, self._emptied + SLICE) - time.monotonic()) > 0.0:
+            if (pause := min(until, self._due) - time.monotonic()) > 0.0:
                 time.sleep(pause)
-            self._emptied = time.monotonic()
-            if not self._drain(fd, REFILL if settle > 0.0 else 0.0) or time.monotonic() >= until:
-                parts, self._held = self._held, []
-                return parts[0] if len(parts) == 1 else b"".join(parts)
+            start, before = time.monotonic(), len(self._held)
+            more = self._drain(fd, REFILL if settle > 0.0 else 0.0)
+            self._due = start + (SLICE if len(self._held) < before + BRIM else AGAIN)
+            if not more or time.monotonic() >= until:
+                got, self._held = self._held, bytearray()
+                return bytes(got)
 
     def _drain(self, fd: int, refill: float) -> bool:
         """Hold what has arrived, up to `MAX_READ` in all; False if no more can be taken now.
@@ -146,7 +148,7 @@ class DescriptorLink(ABC):
         Linux hands a pty's bytes over by another thread: after each read of `FULL` `refill` s are waited for more.
         """
         wait = 0.0
-        while (free := MAX_READ - sum(map(len, self._held))) > 0:
+        while (free := MAX_READ - len(self._held)) > 0:
             try:
                 if not self._come(fd, wait):
                     return True
@@ -162,7 +164,7 @@ class DescriptorLink(ABC):
                     return False
                 raise self._gone(None)
             self._heard = True
-            self._held.append(part)
+            self._held += part
             if len(part) < FULL:
                 return True
             wait = refill
