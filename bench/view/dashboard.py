@@ -119,18 +119,16 @@ def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None = N
     return views if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
 
 
-def _returns(run: RunInfo, whole: tuple[int, int] | None) -> list[rrb.View]:
-    """Bounces and pulses of the Hall sensors."""
-    plot = returns(run)
-    if plot is None:
-        return []
-    if whole is None:
-        return [time_series(plot, {plot.entity: plot.lines}, _span(plot.seconds), _span(plot.seconds))]
-    plot = replace(plot, name=plot.name.rpartition(", last")[0])
-    return [time_series(plot, {plot.entity: plot.lines}, _ticks(run, *whole), _wide(run, *whole))]
+def _returns(run: RunInfo, whole: tuple[int, int] | None) -> list[rrb.Container]:
+    """Bounces and pulses of the Hall sensors, side by side: there is room for legends of three lines."""
+    queried, shown = (_span(TREND), _span(TREND)) if whole is None else (_ticks(run, *whole), _wide(run, *whole))
+    views = [time_series(plot, {plot.entity: plot.lines}, queried, shown) for plot in returns(run)]
+    return [rrb.Horizontal(*views)] if views else []
 
 
-def _column(rows: Sequence[rrb.View | rrb.Container], lanes: Sequence[rrb.View]) -> rrb.Container | None:
+def _column(
+    rows: Sequence[rrb.View | rrb.Container], lanes: Sequence[rrb.View | rrb.Container]
+) -> rrb.Container | None:
     """Plots, and below them timelines of states; None without either."""
     shares = [3.0] * len(rows) + [2.7] * len(lanes)
     return rrb.Vertical(*rows, *lanes, row_shares=shares) if shares else None

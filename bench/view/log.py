@@ -82,7 +82,8 @@ class RunLog:
         self._drive = states.drive_entity(run)
         self._lanes_ns = 0
         self._hall = HallLanes(run)
-        self._returns, self._returns_plot = HallReturns(), returns(run)
+        self._returns = HallReturns()
+        self._returns_lines = [line for plot in returns(run) for line in plot.lines]
         self.marks: list[Mark] = []
         self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
         self._device = DeviceCounters()
@@ -268,11 +269,11 @@ class RunLog:
 
     def _send_returns(self, chunk: SampleChunk) -> None:
         """Log bounces and pulses of the seconds that have ended with these samples."""
-        if self._returns_plot is None:
+        if not self._returns_lines:
             return
         ends, counts = self._returns.samples(chunk)
         if len(ends):
-            columns = zip(self._returns_plot.lines, counts.T, strict=True)
+            columns = zip(self._returns_lines, counts.T, strict=True)
             values = {line.component: pa.array(count.astype(np.float32)) for line, count in columns}
             self._send(schema.RETURNS, ns_from_tick(ends, self.run.tick_hz), values)
 

@@ -96,13 +96,15 @@ def trend_lines(run: RunInfo) -> tuple[list[Line], list[Line]]:
     return [line for line in lines.values() if not line.mean], [line for line in lines.values() if line.mean]
 
 
-def returns(run: RunInfo) -> Plot | None:
-    """Bounces and pulses a second, by Hall sensor, of a drive that streams edges."""
+def returns(run: RunInfo) -> tuple[Plot, ...]:
+    """Bounces a second and pulses a second, by Hall sensor; none of a drive that streams no edges."""
     if "edges" not in run.identity.get("features", ("edges",)):
-        return None
-    names = [f"{what} {sensor}" for what in ("bounces", "pulses") for sensor in "abc"]
-    lines = tuple(Line(f"returns:{n}", "", n, look.rgb) for n, look in zip(names, SPARES, strict=False))
-    return Plot(f"Hall sensors: bounces and pulses a second, last {TREND:g} s", schema.RETURNS, lines, seconds=TREND)
+        return ()
+    lines = {
+        what: tuple(Line(f"returns:{what} {n}", "", n, look.rgb) for n, look in zip("abc", SPARES, strict=False))
+        for what in ("bounces", "pulses")
+    }
+    return tuple(Plot(f"{what.title()} a second", schema.RETURNS, its, seconds=TREND) for what, its in lines.items())
 
 
 def left_out(run: RunInfo) -> list[str]:

@@ -21,7 +21,7 @@ from tests.viewers import headless
 pytestmark = pytest.mark.slow
 
 VIEWS = {
-    "TimeSeries": len(plots(synthetic.run_info())) + 1,  # of the Hall sensors
+    "TimeSeries": len(plots(synthetic.run_info())) + 2,  # of the Hall sensors
     "StateTimeline": 2,
     "2D": 2,
     "BarChart": 3,
@@ -111,7 +111,7 @@ def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ..
         state = viewer.await_recording()
         assert [(view.name, view.reports) for view in state.views if view.reports] == []
     kinds = [view.view_class for view in state.views]
-    assert kinds.count("TimeSeries") == len(plots(run)) + (returns(run) is not None)
+    assert kinds.count("TimeSeries") == len(plots(run)) + len(returns(run))
     assert kinds.count("StateTimeline") == (2 if "hall" in names else 1)
     assert kinds.count("2D") == any(name in ("i_a", "theta_enc") for name in names)
 

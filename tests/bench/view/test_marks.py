@@ -116,4 +116,4 @@ def test_the_dashboard_has_the_lane_where_there_are_marks(marked: Path) -> None:
         state = viewer.await_recording()
     assert [view.visible for view in state.views if view.name == VIEW] == [True]
     assert [(view.name, view.reports) for view in state.views if view.reports] == []
-    assert len(state.views) == len(plots(synthetic.run_info())) + 12
+    assert len(state.views) == len(plots(synthetic.run_info())) + 13
