@@ -6,6 +6,7 @@ A recording is gone through once, piece by piece; `bench.signal.trace` says what
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,15 @@ from bench.signal.trace import LOOKED_AT, Trace, trace_of
 
 if TYPE_CHECKING:
     from bench.record.reader import Run
+
+
+def ahead(items: Iterator[Capture]) -> Iterator[Capture]:
+    """The same; another thread makes the next one while one is looked at."""
+    with ThreadPoolExecutor(1) as thread:
+        coming = thread.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = thread.submit(next, items, None)
+            yield item
 
 
 class Recorded:
@@ -50,7 +60,7 @@ class Recorded:
         there = [channel.name for channel in config.channels]
         chosen = [name for name in (*wanted, reference_angle(config.channels)) if name in there]
         edges, first = 0, None
-        for capture in captures(self._run, *self._part, chosen or there[:1]):
+        for capture in ahead(captures(self._run, *self._part, chosen or there[:1])):
             edges += len(capture.edges)
             tick = capture.samples.tick
             first = int(tick[0]) if first is None else first

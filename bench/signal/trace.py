@@ -148,8 +148,8 @@ class Trace:
         config, tick = capture.samples.config, capture.samples.tick
         self.parameters, self.pwm_hz, self.tick_hz = capture.parameters, config.pwm_hz, config.tick_hz
         self.encoder = bool(reference_angle(config.channels))
-        period = float(np.median(np.diff(tick))) if len(capture) > 1 else 1.0
-        self.sample_time = self.sample_time or period / capture.tick_hz
+        if not self.sample_time:
+            self.sample_time = (float(np.median(np.diff(tick))) if len(tick) > 1 else 1.0) / capture.tick_hz
         self.dropped += capture.dropped
         hall = np.zeros(len(capture), np.int64)
         if "hall" in capture:
@@ -324,7 +324,7 @@ def _current(capture: Capture) -> Floats:
 
 def speed(theta: Floats, t: Floats) -> Floats:
     """Speed at each sample from the samples `SLOPE` before and after it."""
-    reach = max(1, round(SLOPE / float(np.median(np.diff(t))))) if len(t) > 1 else 1
+    reach = max(1, round(SLOPE * (len(t) - 1) / float(t[-1] - t[0]))) if len(t) > 1 else 1
     gone, took = (x[2 * reach :] - x[: -2 * reach] for x in (np.pad(theta, reach, "edge"), np.pad(t, reach, "edge")))
     slope: Floats = gone / np.maximum(took, 1e-9)
     return slope
