@@ -6,7 +6,6 @@ A recording is gone through once, piece by piece; `bench.signal.trace` says what
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,15 +17,6 @@ from bench.signal.trace import LOOKED_AT, Trace, trace_of
 
 if TYPE_CHECKING:
     from bench.record.reader import Run
-
-
-def ahead(items: Iterator[Capture]) -> Iterator[Capture]:
-    """The same; another thread makes the next one while one is looked at."""
-    with ThreadPoolExecutor(1) as thread:
-        coming = thread.submit(next, items, None)
-        while (item := coming.result()) is not None:
-            coming = thread.submit(next, items, None)
-            yield item
 
 
 class Recorded:
@@ -54,7 +44,7 @@ class Recorded:
 
     def pieces(self, wanted: Iterable[str]) -> Iterator[Capture]:
         """Those of the channels `wanted` that there are, and the encoder's angle. Raises BenchError."""
-        from bench.record.reader import captures
+        from bench.record.reader import ahead, captures
 
         config, _ = self._run.drive_streams
         there = [channel.name for channel in config.channels]

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Collection
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from bench.record import layout
 from bench.record.folder import RunFolder, SegmentFile
 from bench.record.info import RunInfo, stream_to_json
 from bench.record.overview import Overview
-from bench.record.reader import Run, Segment
+from bench.record.reader import Run, Segment, ahead
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 More = Callable[[SampleChunk], SampleChunk]
@@ -106,25 +105,13 @@ class Extension:
         added = SegmentFile(self._folder.path, layout.SAMPLES, number, self._more, "host")
         overview = SegmentFile(self._folder.path, layout.OVERVIEW, number, self._more_overview.columns, "host")
 
-        def write(chunk: SampleChunk) -> None:
-            first, last = int(chunk.tick[0]), int(chunk.tick[-1])
-            added.add(layout.channel_table(chunk, self._more), first, last)
-            overview.add(self._more_overview.table(chunk), first, last)
-
-        with ThreadPoolExecutor(1) as ahead, ThreadPoolExecutor(1) as beside:  # one is read, one made, one written
-            pieces = segment.pieces(layout.SAMPLES, config=self._narrow)
-            reading = ahead.submit(next, pieces, None)
-            writing: Future[None] | None = None
-            while (chunk := reading.result()) is not None:
-                assert isinstance(chunk, SampleChunk)
-                reading = ahead.submit(next, pieces, None)
-                whole = more(continuity.chunk(chunk))
-                self._written[layout.SAMPLES] += len(whole)
-                if writing is not None:
-                    writing.result()
-                writing = beside.submit(write, whole)
-            if writing is not None:
-                writing.result()
+        read = ahead(segment.pieces(layout.SAMPLES, config=self._narrow))
+        made = (more(continuity.chunk(chunk)) for chunk in read if isinstance(chunk, SampleChunk))
+        for whole in ahead(made):  # one is read, one made, one written
+            first, last = int(whole.tick[0]), int(whole.tick[-1])
+            added.add(layout.channel_table(whole, self._more), first, last)
+            overview.add(self._more_overview.table(whole), first, last)
+            self._written[layout.SAMPLES] += len(whole)
         return [*files, added.finish(), overview.finish()]
 
     def _rewritten(self, number: int, segment: Segment, continuity: Continuity, more: More) -> list[dict[str, Any]]:

@@ -11,10 +11,11 @@ import json
 import mmap
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -47,6 +48,8 @@ from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+T = TypeVar("T")
 
 BESIDE = 50_000_000  # bytes that reading takes beside what is read: a row group or two, and files
 _NUMBERED = re.compile(r"(?P<stream>.+)-(?P<number>\d{6})\.parquet$")
@@ -570,6 +573,15 @@ def captures(
         why = "; ".join(run.damage) or "record a run in which the shaft turns"
         raise BenchError(f"{run.path} holds no samples: {why}")
     yield capture(waiting, END)
+
+
+def ahead(items: Iterator[T]) -> Iterator[T]:
+    """The same; another thread makes the next one while one is looked at."""
+    with ThreadPoolExecutor(1) as thread:
+        coming = thread.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = thread.submit(next, items, None)
+            yield item
 
 
 def require_memory(

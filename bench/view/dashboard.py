@@ -39,6 +39,7 @@ SECOND_NAMES = {
 }
 
 Span = tuple[rrb.TimeRangeBoundary, rrb.TimeRangeBoundary]
+Shown = rrb.View | rrb.Container
 
 
 def blueprint(
@@ -92,7 +93,7 @@ def blueprint(
     )
 
 
-def without_panels(views: rrb.View | rrb.Container, **time: Any) -> rrb.Blueprint:
+def without_panels(views: Shown, **time: Any) -> rrb.Blueprint:
     """Views without the viewer's panels, but for the time line; `time`: what that is told besides."""
     hidden = (panel(state="hidden") for panel in (rrb.TopPanel, rrb.BlueprintPanel, rrb.SelectionPanel))
     return rrb.Blueprint(views, *hidden, rrb.TimePanel(state="collapsed", timeline=schema.TIMELINE, **time))
@@ -111,11 +112,11 @@ def _of_all(plot: Plot, coarse: bool, extent: Extent | None) -> Plot:
     return plot
 
 
-def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None = None) -> list[rrb.View | rrb.Container]:
+def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None = None) -> list[Shown]:
     """A column's plots from top to bottom; those for which there is no room share the last place, as tabs."""
     known = sum(not plot.by_unit for plot in found)
     room = max(ROWS, MOST_ROWS - known)
-    views: list[rrb.View | rrb.Container] = [_view(plot, run, whole) for plot in found]
+    views: list[Shown] = [_view(plot, run, whole) for plot in found]
     return views if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
 
 
@@ -126,9 +127,7 @@ def _returns(run: RunInfo, whole: tuple[int, int] | None) -> list[rrb.Container]
     return [rrb.Horizontal(*views)] if views else []
 
 
-def _column(
-    rows: Sequence[rrb.View | rrb.Container], lanes: Sequence[rrb.View | rrb.Container]
-) -> rrb.Container | None:
+def _column(rows: Sequence[Shown], lanes: Sequence[Shown]) -> rrb.Container | None:
     """Plots, and below them timelines of states; None without either."""
     shares = [3.0] * len(rows) + [2.7] * len(lanes)
     return rrb.Vertical(*rows, *lanes, row_shares=shares) if shares else None

@@ -82,8 +82,7 @@ class RunLog:
         self._drive = states.drive_entity(run)
         self._lanes_ns = 0
         self._hall = HallLanes(run)
-        self._returns = HallReturns()
-        self._returns_lines = [line for plot in returns(run) for line in plot.lines]
+        self._returns, self._returns_lines = HallReturns(), [line for plot in returns(run) for line in plot.lines]
         self.marks: list[Mark] = []
         self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
         self._device = DeviceCounters()
