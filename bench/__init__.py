@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from bench.compare.compare import Comparison
     from bench.errors import BenchError
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from protocol import __version__
 
 __all__ = [
-    "BenchError", "Capture", "DriveTripped", "Envelope", "Recording", "Rig", "Settings", "__version__", "compare",
-    "connect", "estimate", "export", "hall", "open", "pieces", "plot", "read", "score",
+    "BenchError", "Capture", "DriveTripped", "Envelope", "Recording", "Rig", "Settings", "__version__", "capture",
+    "compare", "connect", "estimate", "export", "hall", "open", "pieces", "plot", "read", "score",
 ]  # fmt: skip
 
 _HOMES = {
@@ -110,6 +110,33 @@ def connect(
         settings = read_settings(None if settings is None else Path(settings))
     recording = Recording(None if save is None else Path(save), viewer=viewer, overwrite=overwrite)
     return open_rig(target, settings, limits or Envelope(), yes, channels, recording, simulated)
+
+
+def capture(
+    time: Any,
+    values: Mapping[str, Any],
+    *,
+    edges: tuple[Any, Any] | None = None,
+    units: Mapping[str, str] | None = None,
+    n_p: int | None = None,
+) -> Capture:
+    """Arrays of any origin as a capture, by the way that `bench import` goes.
+
+    Args:
+        time: of each sample, s, shape (n,), or samples a second.
+        values: arrays (n,) by name. Names of a drive's channels, as `theta_enc` and `i_q`, mean what they mean there,
+            in SI units and electrical radians where `units` does not say otherwise; `hall` is the Hall code.
+        edges: times in s and Hall codes, (m,) each: the code from each time on, the first one that at the beginning.
+            None: those of `hall`, known to a sample.
+        units: by name, such as {"theta_enc": "mech deg", "i_q": "mA"}.
+        n_p: pole pairs of the motor; None: as the Hall codes tell against a mechanical angle, if they do.
+
+    Raises:
+        BenchError: arrays that do not fit together, a time that goes back, a unit that is none.
+    """
+    from bench.importer.api import capture
+
+    return capture(time, values, edges, units or {}, n_p)
 
 
 def open(path: str | Path) -> Recording:

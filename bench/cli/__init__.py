@@ -6,6 +6,7 @@ Subcommands are imported when they are called, so that `bench --help` stays quic
 from __future__ import annotations
 
 import importlib
+import keyword
 import os
 import signal
 import sys
@@ -26,6 +27,7 @@ _COMMANDS = {
     "mark": "Mark a moment in a run while another terminal records it.",
     "plot": "Draw the standard plots of a recorded run.",
     "compare": "Compare two recorded runs: differences beyond noise.",
+    "import": "Import recordings of other tools: CSV, VCD, sigrok, MDF 4, MATLAB, CAN …",
     "export": "Export a recorded run: CSV, MDF 4, MATLAB, NumPy, rerun, Parquet.",
     "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
     "conform": "Check whether a device conforms to HBP, the protocol.",
@@ -47,7 +49,8 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return None
-        command = importlib.import_module(f"bench.cli.{cmd_name}").command
+        module = f"{cmd_name}_" if keyword.iskeyword(cmd_name) else cmd_name
+        command = importlib.import_module(f"bench.cli.{module}").command
         assert isinstance(command, click.Command)
         return command
 

@@ -95,17 +95,20 @@ class Progress:
 
     PLAIN_PERIOD = 5.0  # s
 
-    def __init__(self, status: bool = True) -> None:
-        """`status`: whether there is a status line at all; without it notes are plain lines."""
-        self._wanted = status
+    def __init__(self, status: bool = True, first: str = "connecting …", quiet: bool = False) -> None:
+        """`status`: whether there is a status line at all; without it notes are plain lines. `first`: what it says.
+
+        `quiet`: the first plain line comes after a while, too.
+        """
+        self._wanted, self._first = status, first
         self._status: Status | None = None
-        self._last_plain = -math.inf
+        self._last_plain = time.monotonic() if quiet else -math.inf
 
     def __enter__(self) -> Self:
         if self._wanted and sys.stderr.isatty():
             from rich.console import Console
 
-            self._status = Console(stderr=True, highlight=False).status("connecting …")
+            self._status = Console(stderr=True, highlight=False).status(self._first)
             self._status.start()
         return self
 

@@ -83,6 +83,8 @@ class RunInfo:
     node: int = 1
     recording_id: str = field(default_factory=lambda: uuid.uuid4().hex)
     started: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    edge_step: float = 0.0
+    """s from one look at the Hall inputs to the next, by which an edge may be late; 0: what its ticks tell."""
 
     @cached_property
     def n_p(self) -> int | None:
@@ -167,6 +169,7 @@ class RunInfo:
             "parameters": {name: float(value) for name, value in self.parameters.items()},
             "channels": [channel_to_json(channel) for channel in self.channels],
             "identity": dict(self.identity),
+            **({"edge_step": self.edge_step} if self.edge_step else {}),
         }
 
     @classmethod
@@ -175,7 +178,8 @@ class RunInfo:
         parameters = {name: float(value) for name, value in data["parameters"].items()}
         channels = tuple(map(channel_from_json, data["channels"]))
         plain = {name: data[name] for name in (*_OF_RUN, "identity")}
-        return cls(**plain, channels=channels, parameters=parameters, recording_id=recording_id)
+        step = float(data.get("edge_step", 0.0))
+        return cls(**plain, channels=channels, parameters=parameters, recording_id=recording_id, edge_step=step)
 
 
 _OF_RUN = ("tick_hz", "pwm_hz", "node", "started")

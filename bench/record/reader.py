@@ -561,7 +561,7 @@ def captures(
         lost = stretches.before(samples) + stretches.before(covered)
         if until == END:
             lost += _lost_at_the_ends(run, first, last, stretches)
-        return Capture(samples, covered, info.parameters, tuple(lost))
+        return Capture(samples, covered, info.parameters, tuple(lost), edge_step=info.edge_step)
 
     waiting: SampleChunk | None = None
     for piece in run.pieces(layout.SAMPLES, first, last, channels) if layout.SAMPLES in run.names else ():

@@ -123,8 +123,9 @@ class CapturedRun(Run):
         config = capture.samples.config
         self._begin(Path("the capture"))
         self.info = RunInfo(
-            config.tick_hz, config.pwm_hz, config.channels, capture.parameters, node=config.node, started=""
-        )
+            config.tick_hz, config.pwm_hz, config.channels, capture.parameters, node=config.node, started="",
+            edge_step=capture.edge_step,
+        )  # fmt: skip
         self._take(iter(()))
         self.ended = True
         chunks = (SAMPLES, capture.samples), (EDGES, capture.edges)

@@ -50,8 +50,12 @@ class RunWriter:
         overwrite: bool = False,
         keep: float | None = None,
         account: LossAccount | None = None,
+        whole: bool = False,
     ) -> None:
-        """`keep`: s of device time that a ring holds, see `bench.record.ring`; `account`: of what went before."""
+        """`keep`: s of device time that a ring holds, see `bench.record.ring`; `account`: of what went before.
+
+        `whole`: it appears when it is closed, not when it is begun.
+        """
         self.path, self.info = path, info
         self.account = account or LossAccount()
         self.samples_written = self.edges_written = 0
@@ -70,7 +74,9 @@ class RunWriter:
         self._folder = RunFolder(path, info, overwrite)
         self._line = self._folder.line
         self._journal = append_to(self._folder.path / layout.journal_name(1))
-        self._folder.put_in_place()
+        self._whole = whole
+        if not whole:
+            self._folder.put_in_place()
 
     # -- what comes ---------------------------------------------------------------------------------------------
 
@@ -144,8 +150,10 @@ class RunWriter:
             lost = {name: n for name, n in self.account.counters.items() if n}
             self._line({"kind": "end", "samples": self.samples_written, "edges": self.edges_written, "lost": lost})
             self.sync()
-            (self.path / layout.journal_name(self._number)).unlink()
-            (self.path / layout.ASKED).unlink(missing_ok=True)
+            (self._folder.path / layout.journal_name(self._number)).unlink()
+            (self._folder.path / layout.ASKED).unlink(missing_ok=True)
+            if self._whole:
+                self._folder.put_in_place()
         finally:
             self.abandon()
 
@@ -158,6 +166,11 @@ class RunWriter:
             os.close(self._journal)
             self._journal = -1
         self._folder.close()
+
+    def discard(self) -> None:
+        """Remove what was written of a run that has not appeared yet."""
+        self.abandon()
+        self._folder.discard()
 
     # -- chunks -------------------------------------------------------------------------------------------------
 
@@ -205,12 +218,13 @@ class RunWriter:
         pieces, stream.pieces = stream.pieces, []
         span = pieces[0].first, pieces[-1].last
         if stream.file is None:
-            stream.file = SegmentFile(self.path, stream.name, self._number, stream.columns)
+            stream.file = SegmentFile(self._folder.path, stream.name, self._number, stream.columns)
         stream.file.add(layout.joined([piece.table for piece in pieces]), *span)
         overviews = [piece.overview for piece in pieces if piece.overview is not None]
         if overviews and self._overview is not None:
             if self._overview_file is None:
-                self._overview_file = SegmentFile(self.path, layout.OVERVIEW, self._number, self._overview.columns)
+                columns = self._overview.columns
+                self._overview_file = SegmentFile(self._folder.path, layout.OVERVIEW, self._number, columns)
             self._overview_file.add(layout.joined(overviews), *span)
 
     def _end_segment(self) -> None:
@@ -228,9 +242,9 @@ class RunWriter:
         self._line({"kind": "segment", "number": self._number, "files": files})
         self._folder.sync()
         self._ended_segment(files)
-        done, self._journal = self._journal, append_to(self.path / layout.journal_name(self._number + 1))
+        done, self._journal = self._journal, append_to(self._folder.path / layout.journal_name(self._number + 1))
         os.close(done)
-        (self.path / layout.journal_name(self._number)).unlink()
+        (self._folder.path / layout.journal_name(self._number)).unlink()
         self._number += 1
         self._begun = None
 

@@ -44,6 +44,8 @@ class Capture:
     dropped: tuple[tuple[int, int, str], ...] = ()
     looked_at: frozenset[str] | None = None
     """Channels whose range matters; None is all of them."""
+    edge_step: float = 0.0
+    """s by which the time of an edge may be late, as the recording tells; 0: what its ticks tell."""
 
     def __len__(self) -> int:
         return len(self.samples)

@@ -117,6 +117,8 @@ class Trace:
         self.parameters: Mapping[str, float] = {}
         """The drive's, by name."""
         self.pwm_hz = 0
+        self.edge_step = 0.0
+        """See `Capture`."""
         self.dropped: list[tuple[int, int, str]] = []
         """What was lost, as a `Capture` has it."""
         self._some: list[Some] = []
@@ -140,13 +142,14 @@ class Trace:
     def time_step(self) -> float:
         """s between the times that edges can have: one tick, or the period at which a drive looks at its inputs."""
         ticks = np.diff(self.edges.tick)
-        return float(np.gcd.reduce(ticks)) / self.tick_hz if len(ticks) else 0.0
+        return max(self.edge_step, float(np.gcd.reduce(ticks)) / self.tick_hz) if len(ticks) else 0.0
 
     def add(self, window: Window) -> Edges:
         """Add a window, which has `SLOPE` on either side of its own samples, or more. Returns its edges."""
         capture, own = window.capture, window.own
         config, tick = capture.samples.config, capture.samples.tick
         self.parameters, self.pwm_hz, self.tick_hz = capture.parameters, config.pwm_hz, config.tick_hz
+        self.edge_step = capture.edge_step
         self.encoder = bool(reference_angle(config.channels))
         if not self.sample_time:
             self.sample_time = (float(np.median(np.diff(tick))) if len(tick) > 1 else 1.0) / capture.tick_hz

@@ -1,0 +1,410 @@
+"""Text in columns: any separator, decimal comma, lines before the header, a line of units, wide or long; by pyarrow.
+
+How it is written is told from its first 256 KiB; a cell further on that is no number is an error with its line.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from pyarrow import csv as arrow_csv
+
+from bench.errors import BenchError
+from bench.importer.files import HEAD, Utf8, encoding_of, head, reading, stream
+from bench.importer.mapping import Text
+from bench.importer.source import Arrays, Column, Table, Wanted, time_column
+from bench.importer.units import scale_of, split
+from protocol.text import counted, printable
+
+SEPARATORS = (",", ";", "\t", "|", " ")
+MISSING = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-", "--", "---", "?")
+MOST_COLUMNS = 5000
+LOOKED_AT = 200
+"""Lines from which types are told."""
+RAGGED = 0.1
+"""Share of lines with another number of columns, from which on the separator is in doubt."""
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|Inf|INF|infinity)")
+_COMMA_NUMBER = re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?")
+_CLOCK = re.compile(r"\d\d:\d\d:\d\d(\.\d{1,9})?")
+
+
+@dataclass(frozen=True)
+class Written:
+    """How a text is written."""
+
+    encoding: str
+    separator: str
+    decimal: str
+    first: int
+    """Lines before the first one with values."""
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    types: tuple[str, ...]
+    """number, integer, bool, date, clock or text, of each column."""
+    rows: tuple[tuple[str, ...], ...]
+    """Some of the first ones."""
+
+    @property
+    def squeeze(self) -> bool:
+        """Whether columns are set apart by any number of spaces."""
+        return self.separator == " "
+
+
+class CsvFile:
+    """A text in columns. Raises BenchError where it is none."""
+
+    format = "csv"
+    together = True
+
+    def __init__(self, path: Path, told: Text) -> None:
+        self._path = path
+        self._written = written(path, told)
+        self.about: Mapping[str, Any] = {"separator": self._written.separator, "decimal": self._written.decimal}
+        self._long = told.layout == "long" or (not told.layout and _seems_long(self._written))
+        self.ragged = 0
+        self.left_out: list[str] = []
+        self.tables = self._long_tables() if self._long else (self._wide_table(),)
+
+    def _wide_table(self) -> Table:
+        written = self._written
+        columns = [Column(*pair) for pair in zip(written.names, written.units, strict=True)]
+        usable = tuple(c for c, kind in zip(columns, written.types, strict=True) if kind not in ("text", "empty"))
+        self.left_out += [
+            f"{printable(column.name)}: '{printable(cell)[:30]}' is no number"
+            for k, (column, kind) in enumerate(zip(columns, written.types, strict=True))
+            if kind == "text" and (cell := next((row[k].strip() for row in written.rows if row[k].strip()), ""))
+        ]
+        if not usable:
+            first = ", ".join(written.rows[0][:5]) if written.rows else ""
+            raise BenchError(f"{self._path}: no column has numbers ({printable(first)[:60]} …): is the separator "
+                             "right? (--separator, --decimal)")  # fmt: skip
+        time = time_column(usable, dict(zip(written.names, written.types, strict=True)))
+        table = Table("", tuple(_dated(column, time, written) for column in usable), time)
+        return replace(table, held=time is not None and _are_changes(written, time))
+
+    def _long_tables(self) -> tuple[Table, ...]:
+        """One for each name."""
+        self._time, self._name, self._value = _roles(self._written)
+        names: dict[str, None] = {}
+        for batch in self._batches([self._name], {self._name: pa.string()}):
+            names.update(dict.fromkeys(pc.unique(batch.column(0)).to_pylist()))
+            if len(names) > MOST_COLUMNS:
+                raise BenchError(f"{self._path}: more than {MOST_COLUMNS} names in column {self._name}: is it a name?")
+        written = self._written
+        unit = written.units[written.names.index(self._time)]
+        return tuple(
+            Table(name or "", (Column(*split(name or "")), Column(self._time, unit)), self._time) for name in names
+        )
+
+    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+        """See `bench.importer.source.Source`."""
+        if self._long:
+            yield from self._long_batches(wanted)
+            return
+        for table, names in wanted.items():
+            for batch in self._batches(list(names)):
+                yield table, {name: array_of(column) for name, column in zip(batch.schema.names, batch, strict=True)}
+
+    def _long_batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+        value = {table.name: next(c.name for c in table.columns if c.name != self._time) for table in self.tables}
+        for batch in self._batches([self._time, self._name, self._value], {self._name: pa.string()}):
+            names = np.asarray(batch.column(self._name).to_pylist(), object)
+            time, values = array_of(batch.column(self._time)), array_of(batch.column(self._value))
+            for table in wanted:
+                of = names == table
+                if of.any():
+                    yield table, {self._time: time[of], value[table]: values[of]}
+
+    def line(self, table: str, row: int) -> str:
+        """See `bench.importer.source.Source`."""
+        if self._long:
+            return f"in row {row + 1} of {printable(table)}"
+        return f"in line {self._written.first + row + 1}"
+
+    def _batches(self, names: list[str], types: Mapping[str, Any] | None = None) -> Iterator[Any]:
+        written, width = self._written, len(self._written.names)
+        ragged: list[Any] = []
+
+        def invalid(row: Any) -> str:
+            ragged.append(row)
+            return "skip"
+
+        kinds = {
+            "number": pa.float64(), "integer": pa.int64(), "bool": pa.bool_(), "date": pa.timestamp("ns"),
+            "clock": pa.time64("ns"), "text": pa.string(), "empty": pa.null(),
+        }  # fmt: skip
+        chosen = {name: kinds[kind] for name, kind in zip(written.names, written.types, strict=True) if name in names}
+        rows = 0
+        with reading(self._path, "text in columns", UnicodeError), stream(self._path) as file:
+            text = Utf8(file, written.encoding, written.squeeze)
+            text.skip_lines(written.first)
+            try:
+                reader = arrow_csv.open_csv(
+                    io.BufferedReader(text, 1 << 20),
+                    arrow_csv.ReadOptions(column_names=list(written.names), block_size=1 << 20),
+                    arrow_csv.ParseOptions(delimiter=written.separator, invalid_row_handler=invalid),
+                    arrow_csv.ConvertOptions(
+                        column_types=chosen | dict(types or {}), include_columns=names, null_values=list(MISSING),
+                        strings_can_be_null=False, decimal_point=written.decimal,
+                    ),
+                )  # fmt: skip
+                for batch in reader:
+                    rows += len(batch)
+                    yield batch
+            except pa.ArrowInvalid as error:
+                raise BenchError(f"{self._path}: {self._wrong(str(error))}") from None
+        if len(ragged) > RAGGED * (rows + len(ragged)):
+            raise BenchError(
+                f"{self._path}: {len(ragged)} of {rows + len(ragged)} lines do not have {counted(width, 'column')}, "
+                f"such as '{printable(ragged[0].text)[:60]}': is the separator '{printable(written.separator)}'? "
+                "(--separator)"
+            )
+        self.ragged = len(ragged)
+
+    def _wrong(self, words: str) -> str:
+        """What is wrong with a cell that is no number, with its line."""
+        found = re.search(r"column #(\d+)", words)
+        written = self._written
+        if found and int(found[1]) < len(written.names):
+            at = int(found[1])
+            with stream(self._path) as file:
+                lines = io.TextIOWrapper(io.BufferedReader(Utf8(file, written.encoding, False)), "utf-8")
+                for number, line in enumerate(lines, 1):
+                    cells = _cells(line, written.separator)
+                    if number > written.first and len(cells) == len(written.names):
+                        cell = cells[at].strip()
+                        if cell not in MISSING and _kind([cell], written.decimal) != written.types[at]:
+                            return (
+                                f"line {number}, column {printable(written.names[at])}: '{printable(cell)[:40]}' is no "
+                                f"{written.types[at]}: mend or remove that line, or leave the column out (--only-named)"
+                            )
+        return printable(words)[:200]
+
+
+def written(path: Path, told: Text) -> Written:
+    """How a text is written. Raises BenchError where it is no text in columns."""
+    data = head(path)
+    if not data.strip():
+        raise BenchError(f"{path} is empty")
+    encoding = told.encoding or encoding_of(data)
+    if b"\0" in data and not encoding.startswith("utf-16"):
+        raise BenchError(f"{path} is no text: give --format")
+    try:
+        text = data.decode(encoding, "replace")
+    except LookupError:
+        raise BenchError(f"--encoding {encoding}: there is no such encoding") from None
+    lines = text.splitlines()
+    if len(data) >= HEAD and len(lines) > 1:
+        lines.pop()  # it is cut
+    if max(map(len, lines)) > HEAD - 16 and len(data) >= HEAD:
+        raise BenchError(
+            f"{path}: a line is longer than {HEAD >> 10} KiB: is a row a sample? (a table lying on its side)"
+        )
+    separator, decimal = _separator(lines, told)
+    rows = [_cells(line, separator) for line in lines]
+    width, first = _data(rows, decimal)
+    if width > MOST_COLUMNS:
+        raise BenchError(f"{path} has {width} columns: is a row a sample? (a table lying on its side)")
+    values = [tuple(row) for row in rows[first:] if len(row) == width][:LOOKED_AT]
+    names, units = _header(rows, first, width, decimal, told.names)
+    if not values:
+        raise BenchError(f"{path}: no line has numbers: is the separator right? (--separator, --decimal)")
+    types = tuple(_usual_kind([row[k] for row in values], decimal) for k in range(width))
+    return Written(encoding, separator, decimal, first, names, units, types, tuple(values))
+
+
+def _separator(lines: list[str], told: Text) -> tuple[str, str]:
+    """The separator and the decimal point with which most cells are numbers."""
+    last = [line for line in lines if line.strip()][-LOOKED_AT:]
+    if len(last) > 4:
+        last = last[len(last) // 4 :]
+    choices = [
+        (separator, decimal)
+        for separator in ([_named_separator(told.separator)] if told.separator else SEPARATORS)
+        for decimal in ([told.decimal] if told.decimal else ".,")
+        if separator != decimal
+    ]
+
+    def fitting(choice: tuple[str, str]) -> int:
+        cells = [_cells(line, choice[0]) for line in last]
+        usual = max(set(map(len, cells)), key=[len(row) for row in cells].count)
+        found = [_kind([cell], choice[1]) for row in cells if len(row) == usual for cell in row]
+        return sum(1 if kind != "text" else -1 for kind in found) - sum(len(row) != usual for row in cells)
+
+    if not choices:
+        raise BenchError(f"--separator {told.separator}: it is the decimal sign, too")
+    return max(choices, key=fitting)
+
+
+def _named_separator(word: str) -> str:
+    named = {"tab": "\t", "\\t": "\t", "space": " ", "comma": ",", "semicolon": ";"}.get(word.lower(), word)
+    if len(named) != 1 or named in "\"'\r\n":
+        raise BenchError(f"--separator {word}: give one character, or tab, space, comma, semicolon")
+    return named
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    line = line.rstrip("\r\n")
+    if separator == " ":
+        return line.split()
+    if '"' in line:
+        try:
+            return next(csv.reader([line], delimiter=separator), [""])
+        except csv.Error:
+            pass
+    return line.split(separator)
+
+
+def _kind(cells: list[str], decimal: str) -> str:
+    """What a column's cells are."""
+    known = [cell.strip() for cell in cells if cell.strip() not in MISSING]
+    number = _NUMBER if decimal == "." else _COMMA_NUMBER
+    if all(number.fullmatch(cell) for cell in known):
+        wide = any(cell.lstrip("+-").isdigit() and len(cell.lstrip("+-")) > 15 for cell in known)
+        return "integer" if wide and all(cell.lstrip("+-").isdigit() for cell in known) else "number"
+    for kind, form in (("date", _DATE), ("clock", _CLOCK)):
+        if all(form.fullmatch(cell) for cell in known):
+            return kind
+    return "bool" if all(cell.lower() in ("true", "false") for cell in known) else "text"
+
+
+def _usual_kind(cells: list[str], decimal: str) -> str:
+    """What most of a column's cells are; empty where it has none."""
+    known = [cell for cell in cells if cell.strip() not in MISSING]
+    numbers = [cell for cell in known if _kind([cell], decimal) != "text"]
+    return "empty" if not known else _kind(numbers if 2 * len(numbers) > len(known) else known, decimal)
+
+
+def _data(rows: list[list[str]], decimal: str) -> tuple[int, int]:
+    """Number of columns, and of lines before the first one with values."""
+    full = [k for k, row in enumerate(rows) if any(cell.strip() for cell in row)]
+    widths = [len(rows[k]) for k in full]
+    tail = widths[len(widths) // 2 :]
+    width = max(set(tail), key=tail.count)
+    numeric = [_kind([cell], decimal) != "text" for cell in (rows[full[-1]] if len(rows[full[-1]]) == width else [])]
+    for k in full:
+        row = rows[k]
+        if len(row) == width and _values(row, numeric, decimal):
+            return width, k
+    return width, full[-1] + 1
+
+
+def _values(row: list[str], numeric: list[bool], decimal: str) -> bool:
+    """Whether a line has values: numbers where the last line has them, some at least."""
+    cells = [cell for cell, number in zip(row, numeric or [True] * len(row), strict=False) if number and cell.strip()]
+    return bool(cells) and all(_kind([cell], decimal) != "text" for cell in cells) and any(
+        cell.strip() not in MISSING for cell in cells
+    )  # fmt: skip
+
+
+def _header(
+    rows: list[list[str]], first: int, width: int, decimal: str, told: tuple[str, ...]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the columns."""
+    above = [row for row in rows[:first] if any(cell.strip() for cell in row)][-2:]
+    above = [_trimmed(row, width) for row in above]
+    units = [""] * width
+    names: list[str] = []
+    if told:
+        if len(told) > width:
+            raise BenchError(f"{len(told)} names for {counted(width, 'column')}")
+        names = [*told, *(f"column {k + 1}" for k in range(len(told), width))]
+    elif above and len(above[-1]) == width:
+        if len(above) == 2 and len(above[0]) == width and _are_units(above[1]):
+            units = [cell.strip().strip("[]()") for cell in above[1]]
+            above.pop()
+        names = [cell.strip() for cell in above[-1]]
+        names[0] = names[0].lstrip("#%; ").strip() or names[0]
+    split_names = (
+        [split(name) if not unit else (name, unit) for name, unit in zip(names, units, strict=True)] if names else []
+    )
+    pairs = split_names or [(f"column {k + 1}", "") for k in range(width)]
+    taken: dict[str, int] = {}
+    found = []
+    for k, (name, _) in enumerate(pairs):
+        name = name or f"column {k + 1}"
+        taken[name] = taken.get(name, 0) + 1
+        found.append(name if taken[name] == 1 else f"{name} ({taken[name]})")
+    return tuple(found), tuple(unit for _, unit in pairs)
+
+
+def _trimmed(row: list[str], width: int) -> list[str]:
+    """A header without the comment sign before it, and the empty cells behind it."""
+    if row and row[0].strip() in ("#", "%", "//") and len(row) == width + 1:
+        row = row[1:]
+    while len(row) > width and not row[-1].strip():
+        row = row[:-1]
+    return row
+
+
+def _are_units(row: list[str]) -> bool:
+    cells = [cell.strip().strip("[]()") for cell in row]
+    return (
+        any(cells) and all(scale_of(cell) is not None for cell in cells) and not any(cell.isdigit() for cell in cells)
+    )
+
+
+def _seems_long(written: Written) -> bool:
+    """Whether each row has a time, a name and a value."""
+    if len(written.names) != 3 or sorted(written.types) not in (
+        ["number", "number", "text"],
+        ["date", "number", "text"],
+    ):
+        return False
+    names = [row[written.types.index("text")] for row in written.rows]
+    return 2 * len(set(names)) <= len(names)
+
+
+def _roles(written: Written) -> tuple[str, str, str]:
+    """Columns of the time, the name and the value."""
+    texts = [name for name, kind in zip(written.names, written.types, strict=True) if kind == "text"]
+    others = [name for name, kind in zip(written.names, written.types, strict=True) if kind != "text"]
+    if len(texts) != 1 or len(others) != 2:
+        raise BenchError("a long table has three columns: time, name, value")
+    kinds = dict(zip(written.names, written.types, strict=True))
+    time = time_column(tuple(Column(name) for name in others), kinds) or others[0]
+    return time, texts[0], next(name for name in others if name != time)
+
+
+def _dated(column: Column, time: str | None, written: Written) -> Column:
+    """Dates are in ns; and some names tell the unit of the time."""
+    kind = written.types[written.names.index(column.name)]
+    if kind in ("date", "clock"):
+        return replace(column, unit="ns")
+    if column.name == time and not column.unit:
+        found = re.search(r"(?:^|_)(ms|us|ns|s)(?:_|$)", column.name)
+        return replace(column, unit=found[1]) if found else column
+    return column
+
+
+def _are_changes(written: Written, time: str) -> bool:
+    """Whether rows are changes of lines that are 0 or 1, as logic analysers export them."""
+    at = written.names.index(time)
+    rows = [[cell.strip() for k, cell in enumerate(row) if k != at] for row in written.rows]
+    if len(rows) < 3 or not rows[0] or any(cell not in ("0", "1") for row in rows for cell in row):
+        return False
+    changed = sum(a != b for a, b in pairwise(rows))
+    return changed >= len(rows) - 1 - max(1, len(rows) // 20)
+
+
+def array_of(column: Any) -> Any:
+    """A column of pyarrow as numbers; what is missing is NaN, or 0 with a mask where it is a whole number."""
+    kind = column.type
+    if pa.types.is_timestamp(kind) or pa.types.is_time(kind):
+        column = column.cast(pa.int64())
+    if pa.types.is_boolean(kind):
+        column = column.cast(pa.uint8())
+    if column.null_count:
+        column = column.cast(pa.float64(), safe=False)
+    return column.to_numpy(zero_copy_only=False)
