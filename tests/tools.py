@@ -135,6 +135,7 @@ TOOLS = {
         Tool("Vulkan driver", _vulkan, _apt("libvulkan1", "mesa-vulkan-drivers")),
         Tool("chromium", _chromium, _apt("chromium")),
         Tool("pdftotext", says("pdftotext", "-v"), _apt("poppler-utils")),
+        Tool("sigrok-cli", says("sigrok-cli", "--version"), _apt("sigrok-cli")),
         Tool("small disk", _small_disk, "run the tests as root"),
     )
 }  # fmt: skip

@@ -197,14 +197,15 @@ def blocks(source: Source, plan: Plan, tables: Mapping[str, _Rows]) -> Iterator[
     while streams:
         names, stream = min(streams, key=lambda one: min(tables[name].reached for name in one[0]))
         try:
-            name, columns = next(stream)
+            batch = next(stream)
         except StopIteration:
             streams.remove((names, stream))
             for name in names:
                 tables[name].reached = _END
             continue
-        tables[name].add(columns)
-        reached = tables[name].reached
+        for name, columns in batch.items():
+            tables[name].add(columns)
+        reached = max((tables[name].reached for name in batch), default=-_END)
         for other in names:  # of one stream: it comes in the order of time, and what has not come for long is missing
             rows = tables[other]
             rows.reached = max(rows.reached, reached - (0 if rows.held else rows.gap))

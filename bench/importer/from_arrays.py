@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bench.errors import BenchError
 from bench.importer.files import reading
-from bench.importer.source import BATCH, Arrays, Column, Leaf, Leaves, Table, Wanted, time_column
+from bench.importer.source import BATCH, Arrays, Batch, Column, Leaf, Leaves, Table, Wanted, time_column
 from bench.record.memory import available, in_words
 from protocol.text import printable
 
@@ -62,17 +62,15 @@ class ParquetFile:
         self.tables = (Table("", columns, time_column(columns, kinds)),)
         self.about: Mapping[str, Any] = {}
 
-    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """See `Source`."""
         from bench.importer.from_csv import array_of
 
         for table, names in wanted.items():
             with reading(self._path, "Parquet file", *self._errors):
                 for batch in self._file.iter_batches(BATCH, columns=list(names)):
-                    yield (
-                        table,
-                        {name: array_of(column) for name, column in zip(batch.schema.names, batch, strict=True)},
-                    )
+                    columns = zip(batch.schema.names, batch, strict=True)
+                    yield {table: {name: array_of(column) for name, column in columns}}
 
     def line(self, table: str, row: int) -> str:
         """See `Source`."""
@@ -209,7 +207,7 @@ class _Guarded(Leaves):
             raise BenchError(f"{path} holds no columns of numbers{': ' if left_out else ''}{'; '.join(left_out[:5])}")
         super().__init__(format, found, about or {}, left_out)
 
-    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """See `Source`."""
         with reading(self._path, self._what, *self._errors):
             yield from super().batches(wanted)
@@ -351,9 +349,7 @@ class MdfFile:
             for k, channel in enumerate(group.channels):
                 if k == master:
                     continue
-                one = self._mdf.get(
-                    group=number, index=k, record_offset=0, record_count=1, ignore_value2text_conversions=True
-                )
+                one = self._signal(group=number, index=k, record_offset=0, record_count=1)
                 if one.samples.dtype.kind not in "iufb" or one.samples.ndim != 1:
                     self.left_out.append(f"{printable(channel.name)}: no number")
                     continue
@@ -365,7 +361,7 @@ class MdfFile:
             self._where[name] = number, n, columns
             yield Table(name, tuple(Column(column, units[column]) for column in (time, *columns)), time)
 
-    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """See `Source`."""
         for table in self.tables:
             if table.name not in wanted:
@@ -377,11 +373,15 @@ class MdfFile:
                     part = {"group": number, "record_offset": first, "record_count": min(BATCH, n - first)}
                     found: Arrays = {}
                     for name in names or list(columns)[:1]:
-                        one = self._mdf.get(index=columns[name], ignore_value2text_conversions=True, **part)
+                        one = self._signal(index=columns[name], **part)
                         found[table.time or ""] = one.timestamps
                         if name in names:
                             found[name] = _valid(one)
-                yield table.name, found
+                yield {table.name: found}
+
+    def _signal(self, **where: int) -> Any:
+        """Physical values; numbers where the file has words for them."""
+        return self._mdf.get(raw=True, **where).physical(ignore_value2text_conversions=True)
 
     def line(self, table: str, row: int) -> str:
         """See `Source`."""

@@ -22,7 +22,7 @@ from pyarrow import csv as arrow_csv
 from bench.errors import BenchError
 from bench.importer.files import HEAD, Utf8, encoding_of, head, reading, stream
 from bench.importer.mapping import Text
-from bench.importer.source import Arrays, Column, Table, Wanted, time_column
+from bench.importer.source import Batch, Column, Table, Wanted, time_column
 from bench.importer.units import scale_of, split
 from protocol.text import counted, printable
 
@@ -107,24 +107,26 @@ class CsvFile:
             Table(name or "", (Column(*split(name or "")), Column(self._time, unit)), self._time) for name in names
         )
 
-    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """See `bench.importer.source.Source`."""
         if self._long:
             yield from self._long_batches(wanted)
             return
         for table, names in wanted.items():
             for batch in self._batches(list(names)):
-                yield table, {name: array_of(column) for name, column in zip(batch.schema.names, batch, strict=True)}
+                yield {table: {name: array_of(column) for name, column in zip(batch.schema.names, batch, strict=True)}}
 
-    def _long_batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def _long_batches(self, wanted: Wanted) -> Iterator[Batch]:
         value = {table.name: next(c.name for c in table.columns if c.name != self._time) for table in self.tables}
         for batch in self._batches([self._time, self._name, self._value], {self._name: pa.string()}):
             names = np.asarray(batch.column(self._name).to_pylist(), object)
             time, values = array_of(batch.column(self._time)), array_of(batch.column(self._value))
+            found: Batch = {}
             for table in wanted:
                 of = names == table
                 if of.any():
-                    yield table, {self._time: time[of], value[table]: values[of]}
+                    found[table] = {self._time: time[of], value[table]: values[of]}
+            yield found
 
     def line(self, table: str, row: int) -> str:
         """See `bench.importer.source.Source`."""

@@ -14,7 +14,7 @@ from pyarrow import json as arrow_json
 from bench.errors import BenchError
 from bench.importer.files import HEAD, head, reading, stream
 from bench.importer.from_csv import array_of
-from bench.importer.source import Arrays, Column, Table, Wanted, time_column
+from bench.importer.source import Batch, Column, Table, Wanted, time_column
 from bench.importer.units import split
 from protocol.text import printable
 
@@ -36,15 +36,16 @@ class JsonLines:
         if not whole.strip():
             raise BenchError(f"{path} has no lines of JSON" if data.strip() else f"{path} is empty")
         first = self._flat(whole, 0)
-        self._names = {name: split(name) for name, values in first.items() if values is not None}
+        split_names = {key: split(key) for key, values in first.items() if values is not None}
+        self._keys = {name: key for key, (name, _) in split_names.items()}
         self.left_out = [f"{printable(name)}: no number" for name, values in first.items() if values is None]
-        if len(first) > MOST_COLUMNS or not self._names:
-            raise BenchError(f"{path}: {len(self._names)} keys have numbers")
-        columns = tuple(Column(name, unit) for name, (_, unit) in self._names.items())
+        if len(first) > MOST_COLUMNS or not self._keys:
+            raise BenchError(f"{path}: {len(self._keys)} keys have numbers")
+        columns = tuple(Column(name, split_names[key][1]) for name, key in self._keys.items())
         self.tables = (Table("", columns, time_column(columns)),)
         self.about: Mapping[str, Any] = {}
 
-    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """See `Source`."""
         row, rest = 0, b""
         with reading(self._path, "file of JSON lines"), stream(self._path) as file:
@@ -58,16 +59,15 @@ class JsonLines:
                 row += block.count(b"\n")
             yield from self._of(rest, row, wanted)
 
-    def _of(self, block: bytes, row: int, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def _of(self, block: bytes, row: int, wanted: Wanted) -> Iterator[Batch]:
         if block.strip():
             flat = self._flat(block, row)
             n = max((len(values) for values in flat.values() if values is not None), default=0)
-            for table, names in wanted.items():
-                found: Arrays = {}
-                for name in names:
-                    values = flat.get(name)
-                    found[name] = np.full(n, np.nan) if values is None else values
-                yield table, found
+            of = ((table, name, flat.get(self._keys[name])) for table, names in wanted.items() for name in names)
+            found: Batch = {}
+            for table, name, values in of:
+                found.setdefault(table, {})[name] = np.full(n, np.nan) if values is None else values
+            yield found
 
     def _flat(self, block: bytes, row: int) -> dict[str, Any]:
         """Columns by path; None for what has no numbers."""

@@ -17,7 +17,7 @@ import numpy as np
 from bench.errors import BenchError
 from bench.importer.files import reading, stream
 from bench.importer.from_arrays import extra
-from bench.importer.source import TICK_HZ, Arrays, Column, Memory, Table, Wanted
+from bench.importer.source import TICK_HZ, Arrays, Batch, Column, Memory, Table, Wanted
 from protocol.text import counted, printable
 
 MOST_LINES = 64
@@ -108,7 +108,7 @@ class _Vcd:
         scope: list[str] = []
         for token in self._tokens:
             if token.kind is self._kind.TIMESCALE:
-                self._timescale(int(token.timescale.magnitude.value), str(token.timescale.unit.value))
+                self._timescale(int(token.timescale.magnitude), str(token.timescale.unit.value))
             elif token.kind is self._kind.SCOPE:
                 scope.append(token.scope.ident)
             elif token.kind is self._kind.UPSCOPE:
@@ -229,7 +229,7 @@ class MoteusFile:
         self.tables = (Table("", (Column("hall"),), rate=RATE),)
         self.about: Mapping[str, Any] = {"source": "moteus debug stream, servo.emit_debug"}
 
-    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """See `Source`."""
         row = 0
         with reading(self._path), stream(self._path) as file:
@@ -242,8 +242,7 @@ class MoteusFile:
                         f"{self._path}: sample {row + int(wrong[0])} is damaged: bytes "
                         f"{' '.join(f'{byte:02x}' for byte in packed[wrong[0]])}, 5a, 0 to 7 and 0 were expected"
                     )
-                for table in wanted:
-                    yield table, {"hall": packed[:, 1]}
+                yield {table: {"hall": packed[:, 1]} for table in wanted}
                 row += len(packed)
 
     def line(self, table: str, row: int) -> str:

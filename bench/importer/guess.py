@@ -182,8 +182,8 @@ def _changing(source: Source, table: Table, taken: set[str]) -> list[str]:
     """Lines of 0 and 1 of a table that change."""
     names = [name for name in table.names if name != table.time and name not in taken]
     seen: dict[str, set[float]] = {name: set() for name in names}
-    for _, columns in source.batches({table.name: names}) if names else ():
-        for name, values in columns.items():
+    for batch in source.batches({table.name: names}) if names else ():
+        for name, values in batch[table.name].items():
             found = numbers(values)
             seen[name] |= set(np.unique(found[np.isfinite(found)] if found.dtype.kind == "f" else found)[:3].tolist())
     return [name for name, values in seen.items() if values == {0, 1}]

@@ -20,6 +20,8 @@ TICK_HZ = 1_000_000_000
 """Ticks a second of a time that the file has not in ticks of its own."""
 Arrays = dict[str, NDArray[Any]]
 """Columns by name, (rows,) each: numbers, of which those that are missing are NaN."""
+Batch = dict[str, Arrays]
+"""Rows by the name of their table, of one stretch of time where all tables come together."""
 Wanted = Mapping[str, Collection[str]]
 """Names of columns by the name of their table."""
 
@@ -77,8 +79,11 @@ class Source(Protocol):
     def left_out(self) -> Sequence[str]:
         """What of it cannot come along, and why."""
 
-    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
-        """Rows of the tables that are wanted, in their order, as often as it is called. Raises BenchError."""
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
+        """Rows of the tables that are wanted, in their order, as often as it is called.
+
+        Raises BenchError.
+        """
 
     def line(self, table: str, row: int) -> str:
         """Where a row, from 0, stands in the file, in words."""
@@ -96,12 +101,12 @@ class Memory:
     together: bool = False
     left_out: Sequence[str] = ()
 
-    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """See `Source`."""
         for table, names in wanted.items():
             chosen = {name: self.contents[table][name] for name in names}
             for first in range(0, max(map(len, chosen.values()), default=0), BATCH):
-                yield table, {name: values[first : first + BATCH] for name, values in chosen.items()}
+                yield {table: {name: values[first : first + BATCH] for name, values in chosen.items()}}
 
     def line(self, table: str, row: int) -> str:
         """See `Source`."""
@@ -130,22 +135,24 @@ class Apart:
         ]
         self.tables = (*rest, *apart)
 
-    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """See `Source`."""
         of: dict[str, list[str]] = {}
         for table, names in wanted.items():
             of.setdefault(self._columns.get(table, (table, ""))[0], []).extend(names)
-        for table, columns in self._source.batches({name: list(dict.fromkeys(names)) for name, names in of.items()}):
+        for batch in self._source.batches({name: list(dict.fromkeys(names)) for name, names in of.items()}):
+            found: Batch = {}
             for own, names in wanted.items():
                 origin, value = self._columns.get(own, (own, ""))
-                if origin != table:
+                if origin not in batch:
                     continue
-                found = {name: columns[name] for name in names}
+                rows = {name: batch[origin][name] for name in names}
                 if value:
-                    known = np.isfinite(numbers(columns[value]))
-                    found = {name: values[known] for name, values in found.items()}
-                if len(next(iter(found.values()))):
-                    yield own, found
+                    known = np.isfinite(numbers(rows[value]))
+                    rows = {name: values[known] for name, values in rows.items()}
+                if len(next(iter(rows.values()))):
+                    found[own] = rows
+            yield found
 
     def line(self, table: str, row: int) -> str:
         """See `Source`."""
@@ -191,12 +198,12 @@ class Leaves:
             self._leaves[name] = group
         self.tables = tuple(_with_shared_time(tables, self._leaves))
 
-    def batches(self, wanted: Wanted) -> Iterator[tuple[str, Arrays]]:
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """See `Source`."""
         for table, names in wanted.items():
             leaves = [self._leaves[table][name] for name in names]
             for first in range(0, max((leaf.n for leaf in leaves), default=0), BATCH):
-                yield table, {leaf.name: leaf.read(first, min(first + BATCH, leaf.n)) for leaf in leaves}
+                yield {table: {leaf.name: leaf.read(first, min(first + BATCH, leaf.n)) for leaf in leaves}}
 
     def line(self, table: str, row: int) -> str:
         """See `Source`."""

@@ -305,8 +305,8 @@ def _origin(source: Source, plan: Plan) -> float:
     for name, table in plan.tables.items():
         if table.time is None:
             return 0.0
-        for _, columns in source.batches({name: [table.time]}):
-            values = numbers(columns[table.time])
+        for batch in source.batches({name: [table.time]}):
+            values = numbers(batch[name][table.time]) if name in batch else np.empty(0)
             known = values[np.isfinite(values)] if values.dtype.kind == "f" else values
             if len(known):
                 first.append(float(known[0]) * plan.time_factor[name])
@@ -315,12 +315,14 @@ def _origin(source: Source, plan: Plan) -> float:
 
 
 def each(source: Source, wanted: Mapping[str, list[str]]) -> Iterator[tuple[str, Arrays]]:
-    """Batches of all tables, each in its order."""
+    """Rows of all tables, each in its order."""
     if source.together:
-        yield from source.batches(wanted)
+        for batch in source.batches(wanted):
+            yield from batch.items()
         return
     for name, columns in wanted.items():
-        yield from source.batches({name: columns})
+        for batch in source.batches({name: columns}):
+            yield from batch.items()
 
 
 def _pass(source: Source, plan: Plan, seen: Survey, wanted: Mapping[str, list[str]], progress: Progress) -> None:
