@@ -91,6 +91,7 @@ def command(file: Path, out: Path | None, json_file: Path | None, overwrite: boo
     check_files({"--out": out, "--json": json_file, "--save-map": given["save_map"]}, overwrite, inputs, ["--out"])
     from bench.cli.output import Progress, pairs
     from bench.files import write as write_text
+    from bench.importer.files import naming
     from bench.importer.guess import complete
     from bench.importer.importer import as_json, prepare, rows, write
     from bench.importer.mapping import mapping_of, read, to_toml
@@ -98,7 +99,7 @@ def command(file: Path, out: Path | None, json_file: Path | None, overwrite: boo
     from bench.rig.interrupts import signals_as_exceptions
 
     told = read(given["mapping"]).model_dump(exclude_defaults=True) if given["mapping"] else {}
-    with signals_as_exceptions():
+    with signals_as_exceptions(), naming(file):
         mapping = mapping_of(_with_options(told, given), given["mapping"] or "options")
         source = opened(file, mapping, given["dbc"])
         guess = complete(source, mapping)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, cast
 
-from bench.errors import BenchError
+from bench.errors import BenchError, RecordingError
 from protocol.text import printable
 
 HEAD = 1 << 18
@@ -40,9 +40,24 @@ def reading(path: Path, what: str = "", *further: type[Exception]) -> Iterator[N
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise BenchError(f"{path}: it is damaged, or cut short: {_line(error)}") from None
     except OSError as error:
+        if what and error.errno is None:  # of a library
+            raise BenchError(f"{path} is no {what} that can be read: {_line(error)}") from None
         raise BenchError(f"{path} cannot be read: {error.strerror or _line(error)}") from None
     except further as error:
         raise BenchError(f"{path} is no {what} that can be read: {_line(error)}") from None
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Errors that do not say which file they are about say so."""
+    try:
+        yield
+    except RecordingError:
+        raise
+    except BenchError as error:
+        if path.name in str(error):
+            raise
+        raise BenchError(f"{path}: {error}") from None
 
 
 def _line(error: Exception) -> str:

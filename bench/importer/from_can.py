@@ -52,9 +52,7 @@ def log(path: Path, format: str, dbc: Path | None) -> Memory:
     }  # fmt: skip
     by_id = {(m.frame_id, m.is_extended_frame): m for m in getattr(database, "messages", ())}
     signals, unknown, wrong = _Signals(), Counter[int](), Counter[str]()
-    errors = (ValueError, IndexError, KeyError, struct.error, AttributeError, TypeError, OverflowError,
-              can.CanError, NotImplementedError, AssertionError)  # fmt: skip
-    with reading(path, f"{format} log", *errors), readers[format](path) as reader:
+    with reading(path, f"{format} log", Exception), readers[format](path) as reader:
         for frame in reader:
             if frame.is_error_frame or frame.is_remote_frame:
                 continue

@@ -120,19 +120,26 @@ def plan(source: Source, mapping: Mapped, guessed: Collection[str] = ()) -> Plan
     inputs += others
     tables = dict.fromkeys([*(one.table for one in inputs), *(table for table, _ in lines)])
     if not tables:
+        for table, _, _ in times.values():
+            if table.time is None and not table.rate:
+                raise _untimed(table)
         raise BenchError("nothing to import: no column is named, and none has numbers")
     chosen, factors, notes = {}, {}, []
     for name in tables:
         table, factor, told = times[name]
         if table.time is None and not table.rate:
-            raise BenchError(
-                f"{_of(table)}no column tells the time; there are {_names(table)}: give --time COLUMN, or --rate HZ, "
-                "samples a second"
-            )
+            raise _untimed(table)
         chosen[name], factors[name] = table, factor
         notes += [told] if told and told not in notes else []
     n_p = mapping.motor.n_p
     return Plan(chosen, tuple(inputs), mapping.hall, lines, factors, n_p, tuple(left_out), tuple(notes))
+
+
+def _untimed(table: Table) -> BenchError:
+    return BenchError(
+        f"{_of(table)}no column tells the time; there are {_names(table)}: give --time COLUMN, or --rate HZ, samples a "
+        "second"
+    )
 
 
 def named_tables(source: Source) -> dict[str, Table]:
@@ -175,7 +182,8 @@ def _time(source: Source, table: Table, mapping: Mapped) -> tuple[Table, float, 
     if table.time is None or table.tick_hz:
         return table, 1.0 / table.tick_hz if table.tick_hz else 1.0, ""
     unit = next(column.unit for column in table.columns if column.name == table.time)
-    word = told.unit or unit
+    in_name = re.search(r"[\[(]([^\])]+)[\])]$", table.time)  # of which nothing is known
+    word = told.unit or unit or (in_name[1] if in_name else "")
     scale = scale_of(word) if word else None
     if scale is None or scale.unit != Unit.S:
         why = f"unit '{word}' is no time" if word else "the file does not say the unit"

@@ -110,7 +110,7 @@ class Memory:
 
     def line(self, table: str, row: int) -> str:
         """See `Source`."""
-        return f"row {row}"
+        return f"in row {row}"
 
 
 class Apart:

@@ -359,7 +359,7 @@ def _look(
             k = int(at[back[0]])
             was = before if not back[0] else int(ticks[at[back[0] - 1]])
             raise BenchError(
-                f"time goes back at {source.line(name, row + k)}: from {was / seen.tick_hz + seen.origin:.9g} to "
+                f"time goes back {source.line(name, row + k)}: from {was / seen.tick_hz + seen.origin:.9g} to "
                 f"{int(ticks[k]) / seen.tick_hz + seen.origin:.9g} s: cut the file there, or choose another time "
                 "column (--time)"
             )
