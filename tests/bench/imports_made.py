@@ -1,4 +1,4 @@
-"""A kept recording of the simulated drive as other tools would have recorded it, each file made by its format's library.
+"""A kept recording of the simulated drive as other tools would have recorded it, each file by its format's library.
 
 What is written is told by `columns`, with times that are right to a nanosecond; `codes` are those of the samples.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import gzip
-import io
 import json
 import subprocess
 import zipfile
@@ -58,6 +57,15 @@ def columns(every: int = 1, n: int = 19_200) -> dict[str, Any]:
     return {name: values[:n:every] for name, values in found.items()}
 
 
+def in_si() -> dict[str, Any]:
+    """The same but time and codes, by the channels' names, in SI."""
+    return {
+        NAMES.get(name, name): values * TO_SI.get(name, 1.0)
+        for name, values in columns().items()
+        if name not in ("t", "hall")
+    }
+
+
 def headed() -> pd.DataFrame:
     """A table with units in its header."""
     return pd.DataFrame({f"{name} [{UNITS[name]}]" if UNITS[name] else name: c for name, c in columns().items()})
@@ -93,16 +101,17 @@ def csv_gz(path: Path) -> None:
 
 
 def jsonl(path: Path) -> None:
-    table = columns()
+    table, names = columns(), list(headed())
     with path.open("w") as file:
         for row in zip(*(table[name].tolist() for name in table), strict=True):
-            told = {(f"{name} [{UNITS[name]}]" if UNITS[name] else name): v for name, v in zip(table, row, strict=True)}
+            told = dict(zip(names, row, strict=True))
             file.write(json.dumps({"t [s]": told.pop("t [s]"), "servo": told}) + "\n")
 
 
 def parquet(path: Path) -> None:
-    fields = [pa.field(name, pa.from_numpy_dtype(c.dtype), metadata={"unit": UNITS[name]}) for name, c in columns().items()]
-    pq.write_table(pa.table(list(columns().values()), schema=pa.schema(fields)), path, row_group_size=4000)
+    table = columns()
+    fields = [pa.field(n, pa.from_numpy_dtype(c.dtype), metadata={"unit": UNITS[n]}) for n, c in table.items()]
+    pq.write_table(pa.table(list(table.values()), schema=pa.schema(fields)), path, row_group_size=4000)
 
 
 def npz(path: Path) -> None:
@@ -151,7 +160,7 @@ WIDE: dict[str, Callable[[Path], None]] = {
 
 @cache
 def changes() -> tuple[np.ndarray, np.ndarray]:
-    """Times in ns and codes of the drive's own edges, which it has timed to a tick; the first one is the code before."""
+    """Times in ns and codes of the drive's own edges, timed to a tick; the first one is the code before them."""
     edges = bench.read(KEPT).edges
     first = bench.read(KEPT).samples.tick[0]
     ns = np.r_[0, np.rint((edges.tick - first) * (1e9 / edges.config.tick_hz)).astype(np.int64)]
@@ -180,8 +189,10 @@ def session(path: Path, rate: int = 1_000_000) -> None:
     """A session as libsigrok documents the format: metadata, and the samples as words."""
     words = sampled(rate)
     told = (
-        f"[global]\nsigrok version=0.5.2\n[device 1]\ncapturefile=logic-1\ntotal probes=8\nsamplerate={rate // 1000} kHz\n"
-        "total analog=0\n" + "".join(f"probe{k + 1}=D{k}\n" for k in range(8)) + "unitsize=1\n"
+        "[global]\nsigrok version=0.5.2\n[device 1]\ncapturefile=logic-1\ntotal probes=8\n"
+        f"samplerate={rate // 1000} kHz\ntotal analog=0\n"
+        + "".join(f"probe{k + 1}=D{k}\n" for k in range(8))
+        + "unitsize=1\n"
     )
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         file.writestr("version", "2")
@@ -241,8 +252,3 @@ def can_log(path: Path) -> None:
     with CAN[path.name](path) as writer:
         for frame in frames():
             writer(frame)
-
-
-def text_of(path: Path) -> str:
-    """All of a text."""
-    return io.TextIOWrapper(path.open("rb"), "utf-8", "replace").read()

@@ -5,9 +5,8 @@ The oracles are the arrays that the file was made of.
 
 from __future__ import annotations
 
-import json
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
 import imports_made as made
 import numpy as np
@@ -16,7 +15,6 @@ import pytest
 
 import bench
 from bench.cli import main
-from bench.errors import BenchError
 from tests.tools import needs
 
 MAP = {"--unit": [f"{name}={unit}" for name, unit in made.UNITS.items() if unit and name != "t"]}
@@ -24,14 +22,9 @@ MAP = {"--unit": [f"{name}={unit}" for name, unit in made.UNITS.items() if unit 
 
 def imported(file: Path, *options: str, status: int = 0) -> Path:
     out = file.with_name("x.run")
-    with pytest.raises(SystemExit) if status else _nothing():
+    with pytest.raises(SystemExit) if status else nullcontext():
         main(["import", str(file), "-o", str(out), "--yes", *options])
     return out
-
-
-class _nothing:
-    def __enter__(self) -> None: ...
-    def __exit__(self, *exception: object) -> None: ...
 
 
 def told_units(name: str) -> list[str]:
@@ -53,8 +46,7 @@ def test_every_value_time_and_edge_is_that_of_the_file(wide: Path) -> None:
     assert len(run) == len(table["t"])
     assert np.abs(run.t - run.t[0] - table["t"]).max() < 1e-9
     assert (run.samples.raw["hall"] == table["hall"]).all()
-    wanted = {made.NAMES.get(name, name): table[name] * made.TO_SI.get(name, 1.0) for name in table if name not in ("t", "hall")}
-    for name, values in wanted.items():
+    for name, values in made.in_si().items():
         error = run[name] - values
         error = np.angle(np.exp(1j * error)) if name == "theta_enc" else error
         assert np.abs(error).max() <= 2e-9 * np.abs(values).max(), name
@@ -67,11 +59,7 @@ def test_every_value_time_and_edge_is_that_of_the_file(wide: Path) -> None:
 
 
 def test_the_other_commands_take_it(wide: Path, tmp_path: Path) -> None:
-    direct = bench.capture(
-        made.columns()["t"],
-        {made.NAMES.get(n, n): c * made.TO_SI.get(n, 1.0) for n, c in made.columns().items() if n != "t"},
-        n_p=6,
-    )
+    direct = bench.capture(made.columns()["t"], {**made.in_si(), "hall": made.columns()["hall"]}, n_p=6)
     health, wanted = bench.hall(wide), bench.hall(direct)
     assert (health.verdict, health.missing) == (wanted.verdict, wanted.missing)
     assert [finding.cause for finding in health.findings] == [finding.cause for finding in wanted.findings]
