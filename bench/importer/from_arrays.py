@@ -6,6 +6,8 @@ A MAT file before 7.3 has no parts: it has to fit into memory.
 from __future__ import annotations
 
 import json
+import logging
+import sys
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -324,6 +326,7 @@ class MdfFile:
         asammdf = extra("asammdf", "asammdf", "an MDF file")
         self._path = path
         self.left_out: list[str] = []
+        _hush(asammdf)
         with reading(path, "MDF file", Exception):  # its reader raises what it meets
             self._mdf = asammdf.MDF(path)
             self._where: dict[str, tuple[int, int, dict[str, int]]] = {}
@@ -386,6 +389,18 @@ class MdfFile:
     def line(self, table: str, row: int) -> str:
         """See `Source`."""
         return f"in record {row + 1} of {printable(table)}"
+
+
+def _hush(module: Any) -> None:
+    """Have it not print of a damaged file what is told in one line: neither its log, nor a reader thrown away."""
+    logging.getLogger(module.__name__).setLevel(logging.CRITICAL)
+    before = sys.unraisablehook
+
+    def hook(told: Any) -> None:
+        if not (getattr(told.object, "__module__", None) or "").startswith(module.__name__):
+            before(told)
+
+    sys.unraisablehook = hook
 
 
 def _valid(signal: Any) -> NDArray[Any]:

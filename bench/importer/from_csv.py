@@ -293,7 +293,9 @@ def _data(rows: list[list[str]], decimal: str) -> tuple[int, int]:
     full = [k for k, row in enumerate(rows) if any(cell.strip() for cell in row)]
     widths = [len(rows[k]) for k in full]
     tail = widths[len(widths) // 2 :]
-    width = max(set(tail), key=tail.count)
+    width = max(set(tail), key=tail.count, default=0)
+    if not width:
+        return 1, len(rows)
     numeric = [_kind([cell], decimal) != "text" for cell in (rows[full[-1]] if len(rows[full[-1]]) == width else [])]
     for k in full:
         row = rows[k]

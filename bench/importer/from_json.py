@@ -75,18 +75,19 @@ class JsonLines:
             table = arrow_json.read_json(io.BytesIO(block), arrow_json.ReadOptions(block_size=len(block) + 64))
             while any(pa.types.is_struct(field.type) for field in table.schema):
                 table = table.flatten()
+            return {name: _numbers(column) for name, column in zip(table.column_names, table.columns, strict=True)}
         except (pa.ArrowException, ValueError, RecursionError) as error:
             lines = f"lines {row + 1} to {row + block.count(10) + 1}"
             why = printable(str(error))[:150]
             raise BenchError(f"{self._path}: {lines} are no lines of JSON objects: {why}") from None
-        found: dict[str, Any] = {}
-        for field, column in zip(table.schema, table.columns, strict=True):
-            kind = field.type
-            number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
-            dated = pa.types.is_timestamp(kind)
-            found[field.name] = array_of(column.combine_chunks()) if number or dated else None
-        return found
 
     def line(self, table: str, row: int) -> str:
         """See `Source`."""
         return f"in line {row + 1}"
+
+
+def _numbers(column: Any) -> Any:
+    """A column's numbers; None where it has others."""
+    types, kind = pa.types, column.type
+    usable = types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind) or types.is_timestamp(kind)
+    return array_of(column.combine_chunks()) if usable else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 from typing import Any, Protocol
 
 import numpy as np
@@ -139,7 +140,8 @@ class Apart:
         """See `Source`."""
         of: dict[str, list[str]] = {}
         for table, names in wanted.items():
-            of.setdefault(self._columns.get(table, (table, ""))[0], []).extend(names)
+            origin, value = self._columns.get(table, (table, ""))
+            of.setdefault(origin, []).extend([*names, value] if value else names)
         for batch in self._source.batches({name: list(dict.fromkeys(names)) for name, names in of.items()}):
             found: Batch = {}
             for own, names in wanted.items():
@@ -148,7 +150,7 @@ class Apart:
                     continue
                 rows = {name: batch[origin][name] for name in names}
                 if value:
-                    known = np.isfinite(numbers(rows[value]))
+                    known = np.isfinite(numbers(batch[origin][value]))
                     rows = {name: values[known] for name, values in rows.items()}
                 if len(next(iter(rows.values()))):
                     found[own] = rows
@@ -186,13 +188,9 @@ class Leaves:
         self._leaves: dict[str, dict[str, Leaf]] = {}
         tables = []
         for (parent, n, rate), group in groups.items():
-            name = (
-                parent
-                if parents.count(parent) == 1
-                else f"{parent}({n})"
-                if rate == 0.0
-                else f"{parent}({n}, {rate:g})"
-            )
+            of = f"({n} at {rate:g} Hz)" if rate else f"({n})"
+            plain = parent if parents.count(parent) == 1 else f"{parent}{of}"
+            name = next(one for one in chain([plain], (f"{plain} {k}" for k in count(2))) if one not in self._leaves)
             columns = tuple(Column(leaf.name, leaf.unit) for leaf in group.values())
             tables.append(Table(name, columns, None if rate else time_column(columns), rate))
             self._leaves[name] = group
