@@ -61,18 +61,19 @@ def parsed(text: str, axis: int | None = None) -> HallTable:
 
     BenchError for what is no table, and for one that no three sensors have.
     """
+    name = text if len(text) <= 80 else f"{text[:77]}..."
     words = [word for word in re.split(r"[\s,;]+", text.strip(" \t[](){}")) if word]
     if len(words) > 1 and all(re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", word) for word in words):
         if axis is not None:
             raise BenchError(f"--axis {axis}: a table that is typed has none")
         numbers = [float(word) for word in words]
         if len(numbers) == 8:
-            return _vesc(text, numbers)
+            return _vesc(name, numbers)
         if len(numbers) == SECTORS:
-            return _odrive(text, numbers, CODES)
-        raise BenchError(f"{text}: {len(numbers)} numbers; a VESC's table has 8 entries, an ODrive's 6 edges")
+            return _odrive(name, numbers, CODES)
+        raise BenchError(f"{name}: {len(numbers)} numbers; a VESC's table has 8 entries, an ODrive's 6 edges")
     if len(words) > 4 and "," in text and not os.path.lexists(text):
-        raise BenchError(f"{text} is neither a file nor numbers: a VESC's table has 8 entries, an ODrive's 6 edges")
+        raise BenchError(f"{name} is neither a file nor numbers: a VESC's table has 8 entries, an ODrive's 6 edges")
     return of_dump(read(Path(text), axis))
 
 

@@ -128,7 +128,7 @@ def test_the_scatter_of_a_bad_detection_is_no_fault() -> None:
     """Entries that scatter by 5.4 deg: a rotor that lags unevenly moves edges, as sensors do."""
     rng = np.random.default_rng(5)
     verdicts = []
-    for _ in range(3000):
+    for _ in range(1200):
         ring, off = rng.uniform(0.0, 360.0), rng.normal(0.0, 3.0, 3).clip(-8.4, 8.4)  # of sensors c, b, a, as they pass
         edges = ring + 60.0 * np.arange(6) + np.tile(off, 2) + rng.normal(0.0, 5.4 * math.sqrt(2.0), 6)
         middles = 0.5 * (edges + np.append(edges[1:], edges[0] + 360.0)) % 360.0
@@ -136,8 +136,8 @@ def test_the_scatter_of_a_bad_detection_is_no_fault() -> None:
         for code, middle in zip(CODES, middles, strict=True):
             table[code] = int(middle / 1.8)
         verdicts.append(examined(parsed(text(table))).verdict)
-    assert verdicts.count(Verdict.FAIL) < 3
-    assert verdicts.count(Verdict.PASS) > 1500
+    assert verdicts.count(Verdict.FAIL) < 2
+    assert verdicts.count(Verdict.PASS) > 600
 
 
 @pytest.mark.parametrize("table", REAL.values(), ids=list(REAL))
