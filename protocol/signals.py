@@ -303,7 +303,7 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(102, "R_s_hat", Unit.OHM, 1e-4, 1e2, _P, "stator resistance that the firmware assumes"),
     Parameter(103, "L_s_hat", Unit.H, 1e-6, 1.0, _P, "stator inductance that the firmware assumes"),
     Parameter(104, "psi_f_hat", Unit.VS, 1e-5, 10.0, _P, "rotor flux linkage that the firmware assumes"),
-    Parameter(105, "i_max", Unit.A, 0.0, 30.0, _PI, "largest current reference"),
+    Parameter(105, "i_max", Unit.A, 0.0, 200.0, _PI, "largest current reference"),
     Parameter(106, "omega_m_max", Unit.RAD_PER_S, 0.0, 600.0, _PI, "largest mechanical speed reference"),
     Parameter(107, "alpha_m_max", Unit.RAD_PER_S2, 1.0, 1e5, _P, "largest ramp of the mechanical speed reference"),
     Parameter(108, "observer", Unit.NONE, 0, max(AngleSource), _PW, "angle source of the control (see AngleSource)"),

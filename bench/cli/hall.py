@@ -1,4 +1,4 @@
-"""`bench hall`: health and edge angles of the Hall sensors."""
+"""`bench hall`: health and edge angles of the Hall sensors, and other tools' tables of them."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from bench.findings.health import Health
     from bench.hall.learn import Learnt
     from bench.hall.source import Options, Source
+    from bench.hall.table_reading import Comparison, Reading
+    from bench.hall.tables import HallTable
 
 
 class _SourceType(TargetType):
@@ -70,12 +72,13 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
 
 @click.group("hall")
 def command() -> None:
-    """Check the Hall sensors; learn their edge angles.
+    """Check the Hall sensors; learn their edge angles; read another tool's table of them.
 
     \b
     Examples:
       bench hall check sim
       bench hall learn sim --out edges.toml
+      bench hall table 255,166,34,0,101,134,67,255
     """
 
 
@@ -163,6 +166,82 @@ def learn(source: str, json_file: Path | None, motor: bool, write: bool, out: Pa
         if options.store and found.drive is not None:
             found.drive.store()
             say(f"node {found.drive.number} stored its parameters")
+
+
+@command.command("table")
+@click.argument("table", metavar="TABLE|FILE")
+@click.option("--compare", "other", metavar="TABLE|FILE",
+              help="A second table, such as of the same motor: what is the difference?")  # fmt: skip
+@click.option("--axis", metavar="N", type=click.IntRange(0, 9), help="Axis of an ODrive [default: the first].")
+@click.option("-o", "--out", metavar="FILE", type=FILE,
+              help="Write the edges to this .toml, for the simulated drive, or .json, for firmware.")  # fmt: skip
+@overwrite_option
+@json_option("all results")
+def show_table(
+    table: str, other: str | None, axis: int | None, out: Path | None, overwrite: bool, json_file: Path | None
+) -> None:
+    """Say what a table of Hall sensors tells: their places, their ring, their wires. Needs no drive.
+
+    TABLE: eight entries of a VESC, by code, such as 255,166,34,0,101,134,67,255; or six edges of an ODrive. FILE: VESC
+    Tool's motor configuration (XML), odrivetool's backup (JSON), or the text of moteus_tool --dump-config.
+
+    Exit codes: 0 no fault seen, 1 fault found, or with --compare the two differ, 2 inconclusive, or error.
+
+    \b
+    Examples:
+      bench hall table 255,166,34,0,101,134,67,255 --out edges.toml
+      bench hall table mcconf.xml
+      bench hall table before.xml --compare after.xml
+    """
+    from bench.hall import learn as learning
+    from bench.hall.table_reading import compared, configuration, examined
+    from bench.hall.table_report import as_json, comparison_json
+    from bench.hall.tables import parsed
+
+    if out is not None:
+        learning.check_out(out)
+    files = [name for name in (table, other) if name is not None and Path(name).is_file()]
+    check_files({"--json": json_file, "--out": out}, overwrite, files)
+    reading = examined(parsed(table, axis))
+    second = None if other is None else parsed(other, axis)
+    told = None if second is None else compared(reading.table, second)
+    if out is not None:
+        learning.save(out, *configuration(reading))
+    if json_file is not None:
+        more = {} if second is None or told is None else {"compared": comparison_json(second, told)}
+        write_json(json_file, {**as_json(reading), **more})
+    if json_file != STANDARD_OUTPUT:
+        _show_reading(reading)
+        if second is not None and told is not None:
+            _show_comparison(reading.table, second, told)
+    if out is not None:
+        (note if json_file == STANDARD_OUTPUT else echo)(f"edges: {out}")
+    sys.exit(reading.verdict.exit_code if told is None else not told.same)
+
+
+def _show_reading(reading: Reading) -> None:
+    from bench.cli.output import pairs, table
+    from bench.hall import table_report as report
+
+    pairs(f"Hall table {reading.table.source}", report.headline(reading))
+    echo()
+    table(report.SECTOR_HEADERS, report.sector_rows(reading))
+    echo()
+    table(report.SENSOR_HEADERS, report.sensor_rows(reading))
+    echo()
+    for line in report.verdict_lines(reading):
+        echo(line)
+
+
+def _show_comparison(first: HallTable, second: HallTable, told: Comparison) -> None:
+    from bench.cli.output import table
+    from bench.hall import table_report as report
+
+    echo(f"\nCompared with {second.source}")
+    if told.codes:
+        table(report.COMPARISON_HEADERS, report.comparison_rows(first, second, told))
+    for line in report.comparison_lines(told):
+        echo(line)
 
 
 def _learnt(

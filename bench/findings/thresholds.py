@@ -80,6 +80,8 @@ NAMED = math.radians(20.0)
 DISPLACED = math.radians(9.0)
 """Off its place against the mean of the three, from which on a sensor is displaced, or its edges apart: of 16 real
 motors the worst is 8.4 deg off, 3.0 rms; the paper's 6.4."""
+TABLE_SCATTER = (math.radians(1.8), math.radians(5.4))
+"""rad, standard deviation that other tools' tables of Hall sensors have of their own: of a good detection, of a bad."""
 SURE = 3.0
 """Standard errors beyond a limit, from which on it is exceeded."""
 SCATTER, SCATTER_ALL = math.radians(2.0), math.radians(4.0)

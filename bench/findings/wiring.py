@@ -210,12 +210,16 @@ def possible(measured: Measured, emf: BackEmf | None) -> list[Wired]:
     rises, falls = (fit.place[[OPENS.index((number, high)) for number in range(3)]] for high in (True, False))
     centres = math.copysign(1.0, measured.inputs.ratio) * (rises + (falls - rises) % math.tau / 2.0)
     centres = emf.zero - centres if emf is not None and emf.reversed else centres - ahead(emf)
+    return ways(centres, measured.inputs.inverted)
+
+
+def ways(centres: NDArray[np.float64], inverted: int) -> list[Wired]:
+    """All ways of wiring with inputs a, b, c at 1 around these angles (3,), rad, once `inverted` ones are undone."""
     found = []
     for sensors in permutations(range(3)):
         rings = centres - CENTRES[list(sensors)]
         ring = mean_angle(rings)
         if np.abs(wrap(rings - ring)).max() < SECTOR_WIDTH:
-            inverted = measured.inputs.inverted
             found += [Wired(sensors, inverted, ring), Wired(sensors, inverted ^ 7, mean_angle(rings + math.pi))]
     return found
 

@@ -114,7 +114,7 @@ def learnt(health: Health, parameters: Mapping[str, float]) -> Learnt:
         for way, passages in ((up, edge.up), (down, edge.down)):
             way.append(wrapped(offset + sector * SECTOR_WIDTH - passages.angle))
     assumed = DIRECTION if measured.inputs.ratio < 0.0 and health.emf is None else ""
-    return _within(Learnt(tuple(up), tuple(down), _standard_deviation(health), {}, settings, assumed))
+    return within(Learnt(tuple(up), tuple(down), _standard_deviation(health), {}, settings, assumed))
 
 
 def require_no_fault(health: Health, parameters: Mapping[str, float]) -> None:
@@ -162,10 +162,15 @@ def _settings(wired: Wired, parameters: Mapping[str, float]) -> dict[str, float]
     if OFFSET in parameters:
         settings[OFFSET] = parameters[OFFSET] if wired.off(parameters[OFFSET]) < SET else wired.ring
     if all(name in parameters for name in HATS):
-        now, inverted = INPUT_OF_SENSOR[int(parameters[HATS[0]])], int(parameters[HATS[1]])
-        settings[HATS[0]] = float(INPUT_OF_SENSOR.index(tuple(now[wired.sensors.index(k)] for k in range(3))))
-        settings[HATS[1]] = float(inverted ^ sum((wired.inverted >> k & 1) << now[k] for k in range(3)))
+        settings |= dict(zip(HATS, hats(wired, int(parameters[HATS[0]]), int(parameters[HATS[1]])), strict=True))
     return settings
+
+
+def hats(wired: Wired, swap: int = 0, inverted: int = 0) -> tuple[float, float]:
+    """`hall_swap_hat` and `hall_invert_hat` for that wiring, as seen by a drive that has these two now."""
+    now = INPUT_OF_SENSOR[swap]
+    swapped = INPUT_OF_SENSOR.index(tuple(now[wired.sensors.index(k)] for k in range(3)))
+    return float(swapped), float(inverted ^ sum((wired.inverted >> k & 1) << now[k] for k in range(3)))
 
 
 def _require_consistent(health: Health) -> None:
@@ -241,10 +246,10 @@ def taught(lessons: Lessons, motor: bool) -> Learnt:
         for name, share in LEARN_MOTOR.items()
         if motor and name in lessons.of and lessons.of[name].sd <= share * abs(lessons.of[name].value)
     }
-    return _within(Learnt(tuple(edges[:6]), tuple(edges[6:]), sd, of_motor))
+    return within(Learnt(tuple(edges[:6]), tuple(edges[6:]), sd, of_motor))
 
 
-def _within(found: Learnt) -> Learnt:
+def within(found: Learnt) -> Learnt:
     """BenchError for what a parameter does not reach."""
     for name, value in found.parameters().items():
         lo, hi, unit = PARAMETERS[name].lo, PARAMETERS[name].hi, PARAMETERS[name].unit.symbol
@@ -287,21 +292,32 @@ def write(drive: Node, found: Learnt) -> dict[str, tuple[float, float]]:
     return changed
 
 
-def save(path: Path, found: Learnt) -> None:
-    """Write a .json by that ending, else a .toml, as the simulated drive's configuration has it. Raises BenchError."""
-    settings = {name: int(value) if name in HATS else value for name, value in found.settings.items()}
+def save(path: Path, found: Learnt, motor: str = "") -> None:
+    """Write a .json by that ending, else a .toml, as the simulated drive's configuration has it. Raises BenchError.
+
+    `motor`: sections of that configuration that say where the edges of its motor lie; they go before, into a .toml.
+    """
     if path.suffix == ".json":
         edges = {"unit": "rad", "edge_up": found.edge_up, "edge_down": found.edge_down, "edge_sd": found.edge_sd}
-        text = json.dumps({**edges, **settings, **found.motor}, indent=1) + "\n"
+        text = json.dumps({**edges, **_whole(found.settings), **found.motor}, indent=1) + "\n"
     else:
-        of_drive = [f"{name} = {value:.6g}" for name, value in {**found.motor, **settings}.items()]
-        ways = {"edge_up": found.edge_up, "edge_down": found.edge_down}
-        rows = [f"{name} = [{', '.join(f'{v:.6f}' for v in values)}]" for name, values in ways.items()]
-        about = f"# ideal minus actual angle of the {SECTORS} Hall edges, rad, opening sectors I to VI"
-        rows.append(f"edge_sd = {found.edge_sd:.6f} # standard deviation common to all edges of one direction")
-        head = ["[firmware]", *of_drive, ""] if of_drive else []
-        text = "\n".join([*head, "[firmware.hall_edges]", about, *rows, ""])
+        text = motor + toml(found)
     files.write(path, text, f"--out {path}")
+
+
+def toml(found: Learnt) -> str:
+    """The sections of a configuration of the simulated drive that say what its firmware knows of the edges."""
+    of_drive = [f"{name} = {value:.6g}" for name, value in {**found.motor, **_whole(found.settings)}.items()]
+    ways = {"edge_up": found.edge_up, "edge_down": found.edge_down}
+    rows = [f"{name} = [{', '.join(f'{v:.6f}' for v in values)}]" for name, values in ways.items()]
+    about = f"# ideal minus actual angle of the {SECTORS} Hall edges, rad, opening sectors I to VI"
+    rows.append(f"edge_sd = {found.edge_sd:.6f} # standard deviation common to all edges of one direction")
+    head = ["[firmware]", *of_drive, ""] if of_drive else []
+    return "\n".join([*head, "[firmware.hall_edges]", about, *rows, ""])
+
+
+def _whole(settings: Mapping[str, float]) -> dict[str, float]:
+    return {name: int(value) if name in HATS else value for name, value in settings.items()}
 
 
 def check_out(path: Path) -> None:

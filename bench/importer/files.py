@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import io
+import logging
+import sys
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +15,8 @@ from typing import IO, Any, cast
 from bench.errors import BenchError, RecordingError
 from protocol.text import printable
 
+MOST_WORDS = 5
+"""Of a library about one file."""
 HEAD = 1 << 18
 """Bytes from which it is told how a text is written."""
 
@@ -45,6 +49,40 @@ def reading(path: Path, what: str = "", *further: type[Exception]) -> Iterator[N
         raise BenchError(f"{path} cannot be read: {error.strerror or _line(error)}") from None
     except further as error:
         raise BenchError(f"{path} is no {what} that can be read: {_line(error)}") from None
+
+
+@contextmanager
+def told_by(library: str, into: list[str]) -> Iterator[None]:
+    """What a library logs of a file goes to `into`, not to the terminal; nor does what it throws away half made."""
+    hook, sink = sys.unraisablehook, _Sink()
+
+    def quiet(told: Any) -> None:
+        if not (getattr(told.object, "__module__", None) or "").startswith(library):
+            hook(told)
+
+    sys.unraisablehook = quiet
+    named = [
+        logging.getLogger(name) for name in [library, *logging.Logger.manager.loggerDict] if name.startswith(library)
+    ]
+    for logger in named:
+        logger.handlers, logger.propagate = [sink], False
+    try:
+        yield
+    finally:
+        into += [f"{library}: {words}" for words in dict.fromkeys(sink.words)][:MOST_WORDS]
+        sink.words.clear()
+
+
+class _Sink(logging.Handler):
+    """Keeps what is logged."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.words: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """See `logging.Handler`."""
+        self.words.append(printable(record.getMessage())[:120])
 
 
 @contextmanager

@@ -6,8 +6,6 @@ A MAT file before 7.3 has no parts: it has to fit into memory.
 from __future__ import annotations
 
 import json
-import logging
-import sys
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -19,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
-from bench.importer.files import reading
+from bench.importer.files import reading, told_by
 from bench.importer.source import BATCH, Arrays, Batch, Column, Leaf, Leaves, Table, Wanted, time_column
 from bench.record.memory import available, in_words
 from protocol.text import printable
@@ -293,7 +291,7 @@ def tdms(path: Path) -> Leaves:
     errors: tuple[type[Exception], ...] = (Exception,)  # its reader raises what it meets
     found: list[Leaf] = []
     left_out: list[str] = []
-    with reading(path, "TDMS file", *errors):
+    with reading(path, "TDMS file", *errors), told_by("nptdms", left_out):
         file = nptdms.TdmsFile.open(path)
         for group in file.groups():
             for channel in group.channels():
@@ -326,8 +324,7 @@ class MdfFile:
         asammdf = extra("asammdf", "asammdf", "an MDF file")
         self._path = path
         self.left_out: list[str] = []
-        _hush(asammdf)
-        with reading(path, "MDF file", Exception):  # its reader raises what it meets
+        with reading(path, "MDF file", Exception), told_by("asammdf", self.left_out):  # it raises what it meets
             self._mdf = asammdf.MDF(path)
             self._where: dict[str, tuple[int, int, dict[str, int]]] = {}
             self.tables = tuple(self._tables())
@@ -389,18 +386,6 @@ class MdfFile:
     def line(self, table: str, row: int) -> str:
         """See `Source`."""
         return f"in record {row + 1} of {printable(table)}"
-
-
-def _hush(module: Any) -> None:
-    """Have it not print of a damaged file what is told in one line: neither its log, nor a reader thrown away."""
-    logging.getLogger(module.__name__).setLevel(logging.CRITICAL)
-    before = sys.unraisablehook
-
-    def hook(told: Any) -> None:
-        if not (getattr(told.object, "__module__", None) or "").startswith(module.__name__):
-            before(told)
-
-    sys.unraisablehook = hook
 
 
 def _valid(signal: Any) -> NDArray[Any]:

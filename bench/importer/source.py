@@ -191,7 +191,7 @@ class Leaves:
             of = f"({n} at {rate:g} Hz)" if rate else f"({n})"
             plain = parent if parents.count(parent) == 1 else f"{parent}{of}"
             name = next(one for one in chain([plain], (f"{plain} {k}" for k in count(2))) if one not in self._leaves)
-            columns = tuple(Column(leaf.name, leaf.unit) for leaf in group.values())
+            columns = tuple(Column(leaf.name, printable(leaf.unit)[:40]) for leaf in group.values())
             tables.append(Table(name, columns, None if rate else time_column(columns), rate))
             self._leaves[name] = group
         self.tables = tuple(_with_shared_time(tables, self._leaves))

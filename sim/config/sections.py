@@ -82,7 +82,7 @@ class Motor(Section):
     L_q: float = _number("H", gt=0)
     psi_f: float = _number("V s", gt=0)
     n_p: Whole = _number(ge=1, le=64)
-    i_max: float = _number("A", gt=0, le=30)
+    i_max: float = _number("A", gt=0, le=200)
     emf_harmonics: Four[Annotated[float, _number(ge=-0.5, le=0.5)]]
     cogging: Two[Annotated[float, _number("N m", ge=-10, le=10)]]
     i_sat: float = _number("A", ge=0)
