@@ -120,7 +120,7 @@ class Line:
             return
         enough = used.shape[1] >= LEAST_BATCHES and n >= LEAST * used.shape[1]
         row.slope = float(slope(used.sum(axis=1)))
-        error, alike = slope_error(used) if enough else (math.nan, 0.0)
+        error, alike = slope_error(used, 2.0 / used.shape[1]) if enough else (math.nan, 0.0)
         if enough and alike <= DRIFT:
             row.slope_error = math.hypot(error, step / math.sqrt(6.0) / self._span.seconds)
         else:

@@ -33,14 +33,17 @@ def batch_of(tick: NDArray[np.int64], first: int, length: int) -> NDArray[np.int
     return (tick - first) * BATCHES // length
 
 
-def standard_error(batches: F64) -> tuple[float, float]:
-    """Of the mean of `batches` (k,), wider where neighbours are alike; and their correlation, 0 where it is below."""
+def standard_error(batches: F64, fitted: float = 0.0) -> tuple[float, float]:
+    """Of the mean of `batches` (k,), wider where neighbours are alike; and their correlation, 0 where it is below.
+
+    `fitted`: what a fit has taken from that correlation, about the number of its coefficients over k.
+    """
     k = len(batches)
     rest = batches - batches.mean()
     square = float(rest @ rest)
     if square <= k * (ROUNDING * float(np.abs(batches).max())) ** 2:
         return 0.0, 0.0
-    alike = min(max(float(rest[1:] @ rest[:-1]) / square, 0.0), MOST_ALIKE)
+    alike = min(max(float(rest[1:] @ rest[:-1]) / square + fitted, 0.0), MOST_ALIKE)
     return math.sqrt(square / (k - 1) / k * (1 + alike) / (1 - alike)), alike
 
 
@@ -52,15 +55,16 @@ def slope(sums: F64) -> F64:
     return found
 
 
-def slope_error(sums: F64) -> tuple[float, float]:
+def slope_error(sums: F64, fitted: float = 0.0) -> tuple[float, float]:
     """Standard error of the slope through all samples of k >= 3 batches, and how alike neighbours are.
 
     `sums` (5, k) as in `slope`. It is that of the batches' pseudo-values: what each adds to the slope of the others.
+    It holds for noise that is forgotten within a batch: a slower one makes a slope of its own.
     """
     k = sums.shape[1]
     total = sums.sum(axis=1)
     pseudo: F64 = k * slope(total) - (k - 1) * slope(total[:, None] - sums)
-    return standard_error(pseudo)
+    return standard_error(pseudo, fitted)
 
 
 def student(freedom: int) -> float:
