@@ -113,12 +113,12 @@ def measure(
 
 def _cursors(run: Run, begin: float | None, end: float | None, channel: str) -> tuple[int, int]:
     """First and last tick: those of samples, where none are given. BenchError where there are none between."""
-    first, last = ticks_of(run, begin, end)
+    asked = ticks_of(run, begin, end)
     spans = [span for segment in run.segments if (span := segment.span_of(SAMPLES)) is not None]
-    first, last = max(first, spans[0][0]), min(last, spans[-1][1])
+    first, last = max(asked[0], spans[0][0]), min(asked[1], spans[-1][1])
     if first > last or next(run.pieces(SAMPLES, first, last, [channel]), None) is None:
         why = "; ".join(run.damage) or f"they cover {run.at(spans[0][0])} to {run.at(spans[-1][1])}, less gaps"
-        raise BenchError(f"{run.path} has no samples from {run.at(first)} to {run.at(last)}: {why}")
+        raise BenchError(f"{run.path} has no samples from {run.at(asked[0])} to {run.at(asked[1])}: {why}")
     return first, last
 
 

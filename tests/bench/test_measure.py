@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tracemalloc
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -25,6 +26,7 @@ from bench.measure import measure as measuring
 from bench.measure.channel import Line, Row, Span
 from bench.measure.frequency import Tone, Tones, tone_of
 from bench.record.info import Mark, RunInfo
+from bench.record.reader import Run
 from bench.record.writer import RunWriter
 from bench.signal.chunks import part
 from protocol.descriptor import Channel
@@ -296,6 +298,37 @@ def test_an_angle_that_wobbles_has_a_circular_mean_and_one_that_turns_a_speed(tm
         assert math.isnan(its.rms)
         assert math.isnan(its.max)
         assert its.why["rms"] == its.why["peak_to_peak"] == "it wraps"
+
+
+def turned_at(path: Path, speed: np.ndarray) -> Row:
+    """What is measured of the encoder of a shaft with these electrical speeds (N,), rad/s."""
+    make(path, {"theta_enc": np.cumsum(speed) / PWM_HZ})
+    return row(bench.measure(path), "theta_enc")
+
+
+def test_an_angle_that_starts_or_speeds_up_has_no_frequency(tmp_path: Path) -> None:
+    full = np.full(N, 2 * np.pi * 50)
+    for k, speed in enumerate((full * np.minimum(T / 0.15, 1.0), full * (0.5 + T), np.where(T < 0.7, full, -full))):
+        its = turned_at(tmp_path / f"{k}.run", speed)
+        assert its.why["frequency"] == "not steady", k
+        assert its.difference == pytest.approx(float(speed[1:].sum()) / PWM_HZ, abs=1e-3)
+    assert turned_at(tmp_path / "slow.run", full * 0.08).why["frequency"] == "no periodic part"  # four revolutions
+    ripple = full * (1 + 0.03 * np.sin(2 * np.pi * 100 * T))
+    its = turned_at(tmp_path / "ripple.run", ripple)
+    assert abs(its.frequency - 50.0) <= its.frequency_half_width < 0.05
+
+
+@pytest.mark.long("memory is traced")
+def test_what_it_holds_in_memory_does_not_grow_with_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measuring, "WINDOW", 4096)
+    peaks = []
+    for n in (70_000, 140_000):  # at 1 kHz
+        run = Run(make(tmp_path / f"{n}.run", {name: np.sin(np.arange(n)) for name in ("i_a", "i_b")}, decimation=16))
+        tracemalloc.start()
+        measuring.measure(run)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] - peaks[0] < 0.1 * 70_000 * (8 + 8 + 4 + 4), "index, tick and two channels of the rest"
 
 
 def gappy(path: Path, columns: dict[str, np.ndarray], kept: np.ndarray) -> Path:
