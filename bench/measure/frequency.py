@@ -1,8 +1,8 @@
 """The frequency of what is periodic in a stretch of samples, and how sure it is; or why there is none.
 
-The strongest line of the spectrum is followed: whole periods of it make batches, and the phases of the batches lie on
-a line over time, whose slope is what the frequency is off by. Their scatter about it tells the uncertainty, whatever
-the noise is: nothing is assumed of it, harmonics included.
+The strongest line of the spectrum is followed, or the lowest of which that is a harmonic: whole periods of it make
+batches, and the phases of the batches lie on a line over time, whose slope is what the frequency is off by. Their
+scatter about it tells the uncertainty, whatever the noise is: nothing is assumed of it, harmonics included.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ FLOOR = 0.01
 """Lines of the spectrum that an uncertainty is at least: a step lies somewhere between two samples."""
 COHERENT = 0.9
 """Share of the batches' amplitudes that stands still at one frequency."""
+MOST = 7
+"""The highest harmonic that may be the strongest line."""
 STEADY = 0.02
 """Share of the frequency that windows of a steady one may be apart."""
 NONE, CONSTANT, FEW, UNSTEADY = "no periodic part", "constant", "too few samples", "not steady"
@@ -58,10 +60,14 @@ def tone_of(y: F64, rate: float) -> Tone | str:
         return CONSTANT
     lines = spectrum(np.arange(n), rest).amplitude ** 2
     k = int(np.argmax(lines[1:])) + 1
-    about = np.concatenate([lines[k // 2 : max(k - 2, 0)], lines[k + 3 : 2 * k + 1]])
-    strong = (math.log(n / 2.0) + CHANCE) / math.log(2.0)  # lines of noise have an exponential distribution
-    if k < PERIODS or not len(about) or lines[k] < strong * float(np.median(about)):
+    if k < PERIODS or not _prominent(lines, k):
         return NONE
+    for m in range(MOST, 1, -1):  # it may be a harmonic
+        low = round(k / m) - 1
+        lower = low + int(np.argmax(lines[low : low + 3])) if low >= PERIODS - 1 else 0
+        if lower >= PERIODS and lines[lower] / 2.0 >= LEAST_SHARE * power and _prominent(lines, lower):
+            k = lower
+            break
     per_sample = k / n
     if (m := n // (k * SAMPLES)) > 1:  # their means have the same frequency, and take less time
         n //= m
@@ -77,6 +83,13 @@ def tone_of(y: F64, rate: float) -> Tone | str:
     if coherent < COHERENT:
         return UNSTEADY
     return Tone(per_sample * rate, half_width * rate)
+
+
+def _prominent(lines: F64, k: int) -> bool:
+    """Whether a line of the power spectrum stands out of those about it as none of noise does."""
+    about = np.concatenate([lines[k // 2 : k - 2], lines[k + 3 : 2 * k + 1]])
+    strong = (math.log(len(lines)) + CHANCE) / math.log(2.0)  # lines of noise have an exponential distribution
+    return len(about) > 0 and bool(lines[k] >= strong * np.median(about))
 
 
 def _followed(x: NDArray[Any], y: NDArray[Any], per_sample: float) -> tuple[float, float, float, float]:

@@ -246,6 +246,19 @@ def test_noise_has_no_frequency(phi: float) -> None:
     assert found <= binom.ppf(1 - 1e-4, 400, 0.005)
 
 
+def test_the_fundamental_is_found_where_a_harmonic_is_stronger() -> None:
+    """A current without load is mostly its third harmonic; with less than a tenth of the power it is the harmonic."""
+    rng = np.random.default_rng(8)
+    for share in (0.3, 0.15, 0.05, 0.0):
+        for order in (2, 3, 5, 7):
+            f = 50.0 if share >= 0.1 else 50.0 * order
+            phase = 2 * np.pi * 50.0 * T + 1.0
+            y = math.sqrt(2 * share) * np.sin(phase) + math.sqrt(2 * (1 - share)) * np.sin(order * phase + 2.0)
+            tone = tone_of(y + rng.normal(0, 0.05, N), PWM_HZ)
+            assert isinstance(tone, Tone)
+            assert abs(tone.f - f) <= tone.half_width, (share, order)
+
+
 def test_a_frequency_that_changes_is_not_one() -> None:
     n = 60_000
     t = np.arange(n) / PWM_HZ
