@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from bench.errors import BenchError
     from bench.export.export import Exported
     from bench.findings.health import Health
+    from bench.measure.measure import Statistics
     from bench.plot.plot import Plot
     from bench.record.recording import Recording, Source
     from bench.rig.drive import DriveTripped
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BenchError", "Capture", "DriveTripped", "Envelope", "Recording", "Rig", "Settings", "__version__", "capture",
-    "compare", "connect", "estimate", "export", "hall", "open", "pieces", "plot", "read", "score",
+    "compare", "connect", "estimate", "export", "hall", "measure", "open", "pieces", "plot", "read", "score",
 ]  # fmt: skip
 
 _HOMES = {
@@ -49,7 +50,14 @@ _HOMES = {
     "Settings": "bench.rig.settings", "__version__": "protocol",
 }  # fmt: skip
 
-for _folder in ("compare", "export", "hall", "plot", "score"):  # binds its name, before the function that stays
+for _folder in (
+    "compare",
+    "export",
+    "hall",
+    "measure",
+    "plot",
+    "score",
+):  # binds its name, before the function that stays
     import_module(f"{__name__}.{_folder}")
 
 
@@ -267,6 +275,36 @@ def compare(
     from bench.record.recording import readable
 
     return compare_sides(*aligned(readable(a), readable(b), align, begin, end), channels)
+
+
+def measure(
+    run: Source,
+    channels: Sequence[str] | None = None,
+    begin: float | str | None = None,
+    end: float | str | None = None,
+) -> Statistics:
+    """What lies between two cursors, as `bench measure` finds it.
+
+    Args:
+        run: a capture, a recording, or the path of one.
+        channels: names of those that are measured; None: all.
+        begin, end: device time in s, both included, or the name of a mark or an event; None: the first sample, the
+            last.
+
+    Returns:
+        `.rows`, also as `.to_pandas()`: mean, rms, standard deviation, extremes, slope, frequency and the values at
+        both cursors of each channel; `.between`: samples, gaps, Hall edges and revolutions; `.as_json()` all of it as
+        plain data.
+
+    Raises:
+        BenchError: no samples there, a channel or a name that is nowhere, a drive that rebooted meanwhile.
+    """
+    from bench.compare.alignment import seconds_of
+    from bench.measure.measure import measure as measured
+    from bench.record.recording import run_of
+
+    opened = run_of(run)
+    return measured(opened, channels, seconds_of(opened, begin), seconds_of(opened, end, last=True))
 
 
 def plot(run: Source, begin: float | None = None, end: float | None = None) -> dict[str, Plot]:

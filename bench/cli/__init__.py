@@ -26,6 +26,7 @@ _COMMANDS = {
     "view": "Open a recorded run, or part of it, in rerun.",
     "mark": "Mark a moment in a run while another terminal records it.",
     "plot": "Draw the standard plots of a recorded run.",
+    "measure": "Measure between two cursors: means, extremes, slopes, frequencies.",
     "compare": "Compare two recorded runs: differences beyond noise.",
     "import": "Import recordings of other tools: CSV, VCD, sigrok, MDF 4, MATLAB, CAN …",
     "export": "Export a recorded run: CSV, MDF 4, MATLAB, NumPy, rerun, Parquet.",

@@ -30,6 +30,20 @@ class Number(click.ParamType[float]):
         return number
 
 
+class Moment(click.ParamType[float | str]):
+    """A finite number of seconds, or the name of a moment."""
+
+    name = "moment"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
+        """Read it, or say why not."""
+        try:
+            float(value)
+        except ValueError:
+            return str(value)
+        return Number().convert(value, param, ctx)
+
+
 _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 

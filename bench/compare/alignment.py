@@ -52,14 +52,21 @@ def _exact(seconds: float) -> Fraction:
     return Fraction(round(seconds * _NS), _NS)
 
 
-def zero_of(run: Run, to: str) -> int:
-    """The tick of `to`, see `aligned`."""
+def seconds_of(run: Run, at: float | str | None, last: bool = False) -> float | None:
+    """Device time in s of what `--from` or `--to` say: a time, or a name as `aligned` takes it; see `zero_of`."""
+    return zero_of(run, at, last) / run.info.tick_hz if isinstance(at, str) else at
+
+
+def zero_of(run: Run, to: str, last: bool = False) -> int:
+    """The tick of `to`, see `aligned`; of a mark where it begins, or with `last` where it ends."""
+    if not run.segments:
+        raise BenchError(f"{run.path} has no samples and no Hall edges")
     if to == BEGIN:
         return run.span[0]
     name, sign, number = to.rpartition("#")
     if not sign or not number.isdigit():
         name, number = to, ""
-    ticks = [mark.first_tick for mark in run.marks if mark.name == name]
+    ticks = [mark.last_tick if last else mark.first_tick for mark in run.marks if mark.name == name]
     if not ticks:
         wanted = _COMMANDS.get(name.upper(), name.upper())
         ticks = [tick for tick, known in events(run) if known == wanted]

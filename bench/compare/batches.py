@@ -1,12 +1,9 @@
 """Means of a quantity over batches of time, and how sure the difference of two runs is.
 
-Samples that follow each other are alike, so their scatter says little about that of their mean. Means over long
-batches are nearly independent: their scatter does. Two aligned runs are compared batch by batch, so that what both
-went through, a start or a step, cancels. Where the differences of neighbouring batches are still alike, the
-standard error is widened as that of a first-order autoregression; where they are very much alike the difference is no
-noise about a mean, and nothing is said of the mean but what is beyond all doubt.
-
-Batch means: Law, Simulation Modeling and Analysis, 5th ed. 2015, ch. 9.5.3. All quantities are in their own unit.
+Two aligned runs are compared batch by batch, so that what both went through, a start or a step, cancels. Where the
+differences of neighbouring batches are very much alike the difference is no noise about a mean, and nothing is said of
+the mean but what is beyond all doubt. `bench.signal.batches` has the standard error. All quantities are in their own
+unit.
 """
 
 from __future__ import annotations
@@ -18,19 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.signal.batches import BATCHES, DRIFT, LEAST, LEAST_BATCHES, ROUNDING, batch_of, standard_error
 from bench.signal.verdict import Verdict
 
 F64 = NDArray[np.float64]
 
-BATCHES = 24
-LEAST_BATCHES = 8  # in which both runs have samples
-LEAST = 10  # samples of a batch, in the mean
 SURE = 3.0  # standard errors beyond which a difference is none of the noise
-MOST_ALIKE = 0.9  # correlation of neighbouring batches that is believed at most
-DRIFT = 0.5  # correlation beyond which a difference is no noise: 1 in 300 of white noise has it by chance
 TOO_FEW, DRIFTS = "too few samples", "drifts"
-ROUNDING = 1e-9  # of the larger mean: no difference
-
 
 VERDICT_WORDS = {Verdict.FAIL: "differs", Verdict.PASS: "same within noise", Verdict.INVALID: "unknown"}
 """Whether two runs differ in a quantity; unknown where there are too few samples, or the difference drifts."""
@@ -64,7 +55,7 @@ class Batches:
 
     def of(self, tick: NDArray[np.int64]) -> NDArray[np.int64]:
         """Batch 0 … BATCHES - 1 of each tick (n,)."""
-        return (tick - self._first) * BATCHES // self._length
+        return batch_of(tick, self._first, self._length)
 
     def add(self, name: str, batch: NDArray[np.int64], values: NDArray[Any]) -> None:
         """Add `values` (n,) in their batches (n,); those that are not finite count for nothing."""
@@ -140,14 +131,3 @@ def _judged(a: F64, b: F64) -> Difference:
     if alike > DRIFT:
         return Difference(mean_a, mean_b, error, Verdict.INVALID, DRIFTS)
     return Difference(mean_a, mean_b, error, Verdict.PASS)
-
-
-def standard_error(batches: F64) -> tuple[float, float]:
-    """Of the mean of `batches` (k,), wider where neighbours are alike; and their correlation, 0 where it is below."""
-    k = len(batches)
-    rest = batches - batches.mean()
-    square = float(rest @ rest)
-    if square <= k * (ROUNDING * float(np.abs(batches).max())) ** 2:
-        return 0.0, 0.0
-    alike = min(max(float(rest[1:] @ rest[:-1]) / square, 0.0), MOST_ALIKE)
-    return math.sqrt(square / (k - 1) / k * (1 + alike) / (1 - alike)), alike

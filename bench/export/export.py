@@ -101,6 +101,14 @@ def _notes(content: Content, writer: Any, files: Mapping[str, Path], out: Path) 
         notes.append(f"{out.name} has only {held}: {others}")
     if hasattr(writer, "notes"):
         notes += writer.notes(content)
+    for table in content.tables:
+        alike: dict[str, list[str]] = {}
+        for column in table.columns:
+            alike.setdefault(column.name.casefold(), []).append(column.name)
+        notes += [
+            f"{table.name}: {' and '.join(names)} differ by case only: a reader that ignores case, such as DuckDB, "
+            "renames or loses one: choose one with --channels" for names in alike.values() if len(names) > 1
+        ]  # fmt: skip
     back = run.clock_went_back()
     if back is not None:
         notes.append(f"the device rebooted after {run.at(back)}: its time restarts there")

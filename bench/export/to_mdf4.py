@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import closing
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ from bench.export.content import Arrays, Column, Content, Table
 from bench.record.reader import Run
 
 VERSION = "4.10"
+UNKNOWN = datetime.fromtimestamp(0, UTC)
+"""The least that MDF has, which nobody takes for a date; asammdf would write the present."""
 
 
 def files(content: Content, out: Path) -> dict[str, Path]:
@@ -38,9 +40,7 @@ def write(content: Content, paths: Mapping[str, Path]) -> None:
         about = content.about()
         mdf.attach(json.dumps(about, indent=2).encode(), file_name="run.json", mime="application/json",
                    comment="what was recorded")  # fmt: skip
-        if started := content.run.info.started:  # a capture does not tell
-            began = timedelta(seconds=_began(content.run) / content.run.info.tick_hz)
-            mdf.header.start_time = datetime.fromisoformat(started) - began
+        mdf.header.start_time = _start(content.run)
         mdf.header.comment = f"{about['run']}, exported by {about['exported_by']}"
         with path.open("wb+") as file:
             mdf.save(file)
@@ -52,6 +52,22 @@ def _asammdf() -> Any:
     except ImportError:
         raise BenchError("--format mdf4 needs asammdf: pip install 'hallbench[export]'") from None
     return asammdf
+
+
+def notes(content: Content) -> list[str]:
+    """What the start time is where nobody knows it."""
+    if _start(content.run) != UNKNOWN:
+        return []
+    return [f"when it was recorded is unknown: the start time of the file is {UNKNOWN:%Y-%m-%d}"]
+
+
+def _start(run: Run) -> datetime:
+    """When the device's clock was 0; `UNKNOWN` where no date was recorded, or none that MDF can hold."""
+    try:
+        start = datetime.fromisoformat(run.info.started) - timedelta(seconds=_began(run) / run.info.tick_hz)
+        return max(start, UNKNOWN)
+    except (ValueError, TypeError, OverflowError):  # a capture does not tell
+        return UNKNOWN
 
 
 def _began(run: Run) -> int:

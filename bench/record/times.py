@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from bench.errors import BenchError
@@ -30,6 +31,8 @@ def ticks_of(run: Run, begin: float | None, end: float | None) -> tuple[int, int
     """
     if not run.segments:
         raise BenchError(f"{run.path} has no samples and no Hall edges")
+    if given := [at for at in (begin, end) if at is not None and not math.isfinite(at)]:
+        raise BenchError(f"{given[0]} is no time: give seconds of device time")
     first, last = run.span
     hz = run.info.tick_hz
     wanted = first if begin is None else round(begin * hz), last if end is None else round(end * hz)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.signal import hall_inputs
+from bench.signal.batches import student
 from bench.signal.edge_fit import OPENS, EdgeFit, fitted, fitted_blind
 from bench.signal.hall_inputs import Inputs
 from bench.signal.position import wrap, wrapped
@@ -141,7 +142,7 @@ class Measured:
         """Of 95 % confidence intervals, rad (k,), of sums of places, or of places and hysteresis, with `weights`."""
         if self.fit is None:
             return np.full(len(weights), math.nan)
-        return _t(max(1, self.fit.passages - 1)) * self.fit.sd(weights)
+        return student(max(1, self.fit.passages - 1)) * self.fit.sd(weights)
 
     @property
     def placement_half_width(self) -> tuple[Floats, Floats]:
@@ -212,7 +213,7 @@ def measure(trace: Trace) -> Measured:
         delay = float(np.mean(fit.delay))
         alike = np.ptp(fit.delay) == 0.0  # one was fitted to all
         error = float(fit.delay_sd[0, 0] if alike else np.sqrt(np.sum(fit.delay_sd**2)) / fit.delay.size)
-        half_width = _t(max(1, fit.passages)) * error
+        half_width = student(max(1, fit.passages)) * error
         by_count = 0.5 * trace.count / max((fit.fastest - fit.slowest) / QUANTILES_APART, 1e-9)
     outliers = 0 if fit is None else fit.aside
     return Measured(
@@ -236,7 +237,7 @@ def _edges(inputs: Inputs, fit: EdgeFit | None, sign: float) -> tuple[Edge, ...]
             n, jitter = int(fit.n[opened, column]), float(fit.jitter[opened, column])
             angle = sign * (fit.place[opened] + way * half) if n else math.nan
             error = math.hypot(float(fit.place_sd[opened]), spread)
-            ways.append(Passages(wrapped(angle), _t(n - 1) * error if n > 1 else math.nan, jitter, n))
+            ways.append(Passages(wrapped(angle), student(n - 1) * error if n > 1 else math.nan, jitter, n))
         up, down = ways if sign > 0.0 else ways[::-1]
         found[seen] = Edge(seen, up, down)
     return tuple(found)
@@ -276,18 +277,3 @@ def mean_angle(angles: Floats) -> float:
 
 QUANTILES_APART = 3.1
 """Standard deviations between the slowest and the fastest twentieth of speeds, of an even distribution."""
-QUANTILES = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622)
-"""Two-sided, of Student's t at 95 %, with 1 to 9 degrees of freedom."""
-NORMAL = 1.959964
-
-
-def _t(freedom: int) -> float:
-    """Two-sided quantile of Student's t at 95 %, with `freedom` >= 1 degrees, to 1e-4 (scipy takes 0.3 s to import).
-
-    The expansion is 26.7.5 of Abramowitz and Stegun, Handbook of Mathematical Functions.
-    """
-    if freedom <= len(QUANTILES):
-        return QUANTILES[freedom - 1]
-    z, n = NORMAL, float(freedom)
-    terms = (z**3 + z) / 4.0, (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0
-    return z + terms[0] / n + terms[1] / n**2 + (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / (384.0 * n**3)

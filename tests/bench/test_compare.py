@@ -16,11 +16,12 @@ from scipy.signal import lfilter
 
 from bench.cli import cli
 from bench.compare.alignment import aligned, zero_of
-from bench.compare.batches import BATCHES, VERDICT_WORDS, Batches, of_means, of_rms, of_std, standard_error
+from bench.compare.batches import VERDICT_WORDS, Batches, of_means, of_rms, of_std
 from bench.compare.compare import Comparison, compare
 from bench.errors import BenchError
 from bench.record.info import Mark
 from bench.record.reader import Run
+from bench.signal.batches import BATCHES, standard_error
 from bench.signal.verdict import Verdict
 from bench.view import schema
 from protocol.codes import DriveState, EventCode, Fault

@@ -11,16 +11,18 @@ import os
 import resource
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import asammdf
+import duckdb
 import exported
 import numpy as np
 import pandas as pd
@@ -32,7 +34,7 @@ from scipy.io import loadmat
 
 from bench.cli import main
 from bench.errors import BenchError
-from bench.export import memory, to_mat
+from bench.export import ENDINGS, memory, to_mat
 from bench.export.export import export
 from bench.record import layout
 from bench.record.reader import Run
@@ -243,6 +245,131 @@ def test_an_mdf_keeps_the_integers_and_begins_when_the_devices_clock_was_0(made:
         assert (signal.samples == raw).all()
         started = datetime.fromisoformat(exported.said(made)[0]["started"])
         assert (started - mdf.header.start_time).total_seconds() == pytest.approx(1000, abs=1e-3)
+
+
+# -- MDF by the letter -----------------------------------------------------------------------------------------------
+
+
+class Mdf:
+    """The blocks of an MDF 4 file, read by their layout in the ASAM standard: with nothing but `struct`."""
+
+    def __init__(self, path: Path) -> None:
+        self.data = path.read_bytes()
+        self.links, self.header = self.block(64, b"##HD")
+
+    def block(self, at: int, kind: bytes) -> tuple[tuple[int, ...], bytes]:
+        """The links of the block at an address, and its data."""
+        name, length, count = struct.unpack_from("<4s4xQQ", self.data, at)
+        assert name == kind
+        links = struct.unpack_from(f"<{count}Q", self.data, at + 24)
+        return links, self.data[at + 24 + 8 * count : at + length]
+
+    def text(self, at: int) -> str:
+        return self.block(at, b"##TX")[1].rstrip(b"\0").decode() if at else ""
+
+    def chain(self, at: int, kind: bytes) -> Iterator[tuple[tuple[int, ...], bytes]]:
+        """Blocks whose first link is the next of them."""
+        while at:
+            links, data = self.block(at, kind)
+            yield links, data
+            at = links[0]
+
+    def groups(self) -> Iterator[tuple[str, int, list[tuple[tuple[int, ...], bytes]]]]:
+        """Name, number of records and channels of each; each alone in its data group, so that the file is sorted."""
+        for links, data in self.chain(self.links[0], b"##DG"):
+            assert data[0] == 0, "no record ids"
+            (group,) = self.chain(links[1], b"##CG")
+            yield self.text(group[0][2]), struct.unpack_from("<8xQ", group[1])[0], [*self.chain(group[0][1], b"##CN")]
+
+
+def test_an_mdf_keeps_the_rules_of_the_standard(made: Path, tmp_path: Path) -> None:
+    """The master of each group is its first channel: time in s, as float64, unscaled. Names are unique in a group."""
+    export(Run(made), tmp_path / "x.mf4")
+    mdf = Mdf(tmp_path / "x.mf4")
+    assert mdf.data[:16].rstrip() == b"MDF     4.10"
+    assert mdf.links[1], "a file history is mandatory"
+    found = list(mdf.groups())
+    assert [(name, rows) for name, rows, _ in found] == [
+        ("samples", 7397), ("edges", 444), ("node2-stream0", 740), ("marks", len(MARKED))
+    ]  # fmt: skip
+    fixed, varying, master, linear = 0, 1, 2, 1
+    for name, _, channels in found:
+        names = [mdf.text(links[2]) for links, _ in channels]
+        assert len({*map(str.casefold, names)}) == len(names)
+        wanted = exported.expected(made, name) if name != "marks" else {}
+        for k, (links, data) in enumerate(channels):
+            kind, sync, dtype, _, _, bits = struct.unpack_from("<BBBBII", data)
+            assert (kind, sync) == ((master, 1) if k == 0 else (varying if dtype == 7 else fixed, 0)), names[k]
+            if k == 0:
+                assert (names[0], mdf.text(links[6]), dtype, bits, links[4]) == ("time", "s", 4, 64, 0)
+            elif names[k] in wanted:
+                assert mdf.text(links[6]) == wanted[names[k]][1]
+            if links[4]:
+                assert mdf.block(links[4], b"##CC")[1][0] == linear
+
+
+@pytest.mark.parametrize("hours", [0, 2, -5])
+def test_the_start_of_an_mdf_is_in_utc_with_the_zone_beside_it(made: Path, tmp_path: Path, hours: int) -> None:
+    run = Run(made)
+    local = datetime(2026, 3, 1, 12, 0, 0, tzinfo=timezone(timedelta(hours=hours)))
+    run.info = replace(run.info, started=local.isoformat())
+    assert not export(run, tmp_path / "x.mf4").notes
+    start, zone, summer, flags = struct.unpack_from("<QhhB", Mdf(tmp_path / "x.mf4").header)
+    began = local.timestamp() - exported.START / exported.PWM_HZ  # when the device's clock was 0
+    assert start / 1e9 == pytest.approx(began, abs=1e-3)
+    assert (zone, summer, flags) == (60 * hours, 0, 2)  # minutes, and that they count
+
+
+@pytest.mark.parametrize("started", ["", "some day", "1970-01-01T00:00:05+00:00"])
+def test_an_mdf_of_unknown_date_does_not_begin_now(made: Path, tmp_path: Path, started: str) -> None:
+    run = Run(made)
+    run.info = replace(run.info, started=started)
+    notes = export(run, tmp_path / "x.mf4").notes
+    assert "the start time of the file is 1970-01-01" in " ".join(notes)
+    assert struct.unpack_from("<Q", Mdf(tmp_path / "x.mf4").header) == (0,)
+
+
+def test_a_second_reader_of_mdf_finds_the_same(made: Path, tmp_path: Path) -> None:
+    """mf4-rs, which shares nothing with asammdf; in a part in which a stream has no rows, too."""
+    mf4_rs = pytest.importorskip("mf4_rs")
+    export(Run(made), tmp_path / "x.mf4")
+    mdf = mf4_rs.Mdf(str(tmp_path / "x.mf4"))
+    assert [group.name for group in mdf.groups] == [*STREAMS, "marks"]
+    for group in mdf.groups[:3]:
+        wanted = exported.expected(made, group.name)
+        assert [(channel.name, channel.unit or "") for channel in group.channels] == [
+            (name, unit) for name, (_, unit) in wanted.items()
+        ]
+        for name, (values, _) in wanted.items():
+            assert same(np.asarray(mdf.values(name, group=group.name)), values), (group.name, name)
+    kinds = list(mdf.read("kind", group="marks"))
+    assert kinds == [row[2] for row in sorted(MARKED, key=lambda row: row[0])]
+    export(Run(made), tmp_path / "y.mf4", None, 1030.3, 1031.2)
+    part = mf4_rs.Mdf(str(tmp_path / "y.mf4"))
+    assert [group.record_count for group in part.groups][3] == 0
+    assert len(part.values("value", group="marks")) == 0
+
+
+def test_names_that_differ_by_case_only_are_told_for_every_format(tmp_path: Path) -> None:
+    """DuckDB, which ignores case, does give one of them another name."""
+    names = ("Speed", "speed", "Time", "torque")
+    channels = tuple(
+        exported.Channel(k, name, exported.Unit.A, exported.RawType.F32, 1.0, exported.Flag.CHANNEL)
+        for k, name in enumerate(names)
+    )
+    config = replace(exported.SAMPLES, channels=channels)
+    writer = RunWriter(tmp_path / "a.run", replace(exported.info(), channels=channels))
+    writer.take(exported.samples(config, exported.EVERY * np.arange(50, dtype=np.int64)))
+    writer.close()
+    for ending in ENDINGS.values():
+        notes = " ".join(export(Run(tmp_path / "a.run"), tmp_path / f"x{ending}").notes)
+        assert "samples: Speed and speed differ by case only" in notes, ending
+        assert "samples: time and Time differ by case only" in notes
+        assert "torque" not in notes
+    seen = duckdb.sql(f"DESCRIBE SELECT * FROM '{tmp_path}/x.parquet'").fetchall()
+    assert not {*names, "time"} <= {column[0] for column in seen}
+    alone = export(Run(tmp_path / "a.run"), tmp_path / "y.csv", channels=["speed", "torque"])
+    assert "case" not in " ".join(alone.notes)
 
 
 def test_after_a_reboot_an_mdf_has_a_group_whose_time_begins_again(tmp_path: Path) -> None:

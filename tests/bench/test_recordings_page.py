@@ -48,7 +48,7 @@ def test_the_page_as_it_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     wanted = exported.expected(run, "samples")
     time, i_q = wanted["time"][0], wanted["i_q"][0]
 
-    checked, opened, part, marks, csv, mdf, mat, npz, parquet = cells[1:]
+    checked, opened, part, marks, measured, csv, mdf, mat, npz, parquet = cells[1:]
     assert checked["log"][-1].items() >= MARK.items()
     for name, (values, unit) in wanted.items():
         if name in opened["units"]:
@@ -62,6 +62,9 @@ def test_the_page_as_it_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     within = (wanted["tick"][0] >= MARK["tick"]) & (wanted["tick"][0] <= MARK["last"])
     assert (marks["marked"]["i_q"].to_numpy() == i_q[within]).all()
     assert marks["first"]["verdict"] == "PASS"
+    between = (time >= 0.55) & (time <= 1.1)
+    assert measured["table"].loc["i_a", "std"] == pytest.approx(wanted["i_a"][0][between].std(), rel=1e-9)
+    assert 49.5 < measured["f"] < 50.5
 
     means, counted, largest, joined = answers
     first = (time >= means["t"][10]) & (time < means["t"][11])

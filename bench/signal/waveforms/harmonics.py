@@ -69,10 +69,10 @@ def fundamental(t: ArrayLike, y: ArrayLike, guess: float | None = None) -> Funda
     if guess is not None:
         _whole_periods(len(t), guess * period)
     line = float(lines.f[inside][np.argmax(lines.amplitude[inside])])
-    _refuse_weak(abs(_harmonics(TWO_PI * line * (t - t[0]), y, 1)[1]), y, f"{line:.4g} Hz")
+    _refuse_weak(abs(fit_harmonics(TWO_PI * line * (t - t[0]), y, 1)[1]), y, f"{line:.4g} Hz")
     _whole_periods(len(t), line * period)
     f = _refined(t, y, line, period)
-    amplitude = _harmonics(TWO_PI * f * (t - t[0]), y, _order_below(0.5 / (f * period), ORDER))[1]
+    amplitude = fit_harmonics(TWO_PI * f * (t - t[0]), y, _order_below(0.5 / (f * period), ORDER))[1]
     phase = wrap(np.angle(amplitude) + np.array(math.pi / 2.0))  # cosine to sine
     return Fundamental(f, float(abs(amplitude)), float(phase))
 
@@ -122,7 +122,7 @@ def _distortion(phase: Floats, y: Floats, order: int, where: str) -> Thd:
     if order < 2:
         raise ValueError(f"order must be >= 2, got {order}")
     phase, y, periods = _trimmed(phase, y)
-    amplitudes = np.abs(_harmonics(phase, y, order)[1:])
+    amplitudes = np.abs(fit_harmonics(phase, y, order)[1:])
     _refuse_weak(float(amplitudes[0]), y, where)
     return Thd(float(np.sqrt(np.sum(amplitudes[1:] ** 2)) / amplitudes[0]), None, amplitudes, periods)
 
@@ -159,7 +159,7 @@ def _columns(phase: Floats, order: int) -> Floats:
     return np.concatenate([np.ones((len(phase), 1)), np.cos(turning), np.sin(turning)], axis=1)
 
 
-def _harmonics(phase: Floats, y: Floats, order: int) -> NDArray[np.complex128]:
+def fit_harmonics(phase: Floats, y: Floats, order: int) -> NDArray[np.complex128]:
     """(order + 1,) amplitudes c with y = Re(sum of c_n exp(j n phase))."""
     mean, cosines, sines = np.split(least_squares(_columns(phase, order), y), [1, order + 1])
     return np.concatenate([mean + 0j, cosines - 1j * sines])
