@@ -36,6 +36,7 @@ OF_EDGES = 10_000.0
 HELD_OVER = 3.0
 """Periods of its own table over which a value is interpolated."""
 _END = 1 << 62
+_MOST_FLOAT = float(np.finfo(np.float32).max)
 _SECTOR = np.array(SECTOR_OF_CODE)
 _WHOLE = (RawType.U8, RawType.I16, RawType.U16, RawType.I32, RawType.U32)
 _HALL = next(signal for signal in DRIVE_CHANNELS if signal.name == "hall")
@@ -422,7 +423,7 @@ def _raw(channel: AnyChannel, values: F64) -> NDArray[Any]:
     """Raw values, the nearest ones."""
     dtype = np.dtype(channel.raw.dtype)
     if channel.raw == RawType.F32:
-        return values.astype(dtype)
+        return np.where(np.abs(values) <= _MOST_FLOAT, values, math.nan).astype(dtype)
     counts = np.rint((values - channel.offset) / channel.scale)
     if channel.flags & Flag.WRAPS:
         return counts.astype(np.int64).astype(dtype)

@@ -15,7 +15,7 @@ from typing import IO, Any, cast
 from bench.errors import BenchError, RecordingError
 from protocol.text import printable
 
-MOST_WORDS = 5
+MOST_WORDS, MOST_LOGGED = 5, 2000
 """Of a library about one file."""
 HEAD = 1 << 18
 """Bytes from which it is told how a text is written."""
@@ -53,7 +53,10 @@ def reading(path: Path, what: str = "", *further: type[Exception]) -> Iterator[N
 
 @contextmanager
 def told_by(library: str, into: list[str]) -> Iterator[None]:
-    """What a library logs of a file goes to `into`, not to the terminal; nor does what it throws away half made."""
+    """What a library logs of a file goes to `into`, not to the terminal; nor does what it throws away half made.
+
+    Of one that does not come to an end with logging, a ValueError is raised.
+    """
     hook, sink = sys.unraisablehook, _Sink()
 
     def quiet(told: Any) -> None:
@@ -82,6 +85,8 @@ class _Sink(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """See `logging.Handler`."""
+        if len(self.words) >= MOST_LOGGED:  # it may go on for ever
+            raise ValueError(self.words[-1])
         self.words.append(printable(record.getMessage())[:120])
 
 

@@ -6,6 +6,8 @@ A MAT file before 7.3 has no parts: it has to fit into memory.
 from __future__ import annotations
 
 import json
+import multiprocessing
+import os
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -24,6 +26,11 @@ from protocol.text import printable
 
 WIDE = 64
 """Columns of a matrix, at most, that become channels each."""
+
+
+TRIAL, TRIAL_RATE = 5.0, 20e6
+"""s that a file may take to be read on trial, and bytes for one more."""
+_HDF5 = (ValueError, KeyError, RuntimeError, TypeError, OverflowError, ZeroDivisionError, AttributeError)
 
 
 def extra(module: str, package: str, of: str) -> Any:
@@ -253,9 +260,37 @@ def _walk(parent: str, values: Mapping[str, Any], units: Any, found: list[Leaf])
 
 
 def hdf5(path: Path, format: str = "hdf5") -> Leaves:
-    """Datasets of all groups, with the unit that an attribute tells."""
-    h5py = extra("h5py", "h5py", "an HDF5 file")
-    errors = (ValueError, KeyError, RuntimeError, TypeError, OverflowError, ZeroDivisionError, AttributeError)
+    """Datasets of all groups, with the unit that an attribute tells.
+
+    The library is written in C, and may crash or hang over a damaged file: a process of its own reads all of it first.
+    """
+    extra("h5py", "h5py", "an HDF5 file")
+    with reading(path, "HDF5 file", *_HDF5):
+        context: Any = multiprocessing.get_context("fork" if hasattr(os, "fork") else "spawn")
+        trial = context.Process(target=_read_hdf5, args=(path,), daemon=True)
+        trial.start()
+        trial.join(TRIAL + path.stat().st_size / TRIAL_RATE)
+        if trial.exitcode is None:
+            trial.kill()
+            trial.join()
+        if trial.exitcode != 0:
+            raise BenchError(f"{path} is no HDF5 file that can be read: it is damaged")
+        found, left_out = _hdf5_leaves(path)
+    return _Guarded(path, "HDF5 file", _HDF5, format, found, left_out)
+
+
+def _read_hdf5(path: Path) -> None:
+    """Read all of a file, in a process of its own; what Python can tell of it is told later."""
+    with suppress(*_HDF5, OSError, MemoryError):
+        for leaf in _hdf5_leaves(path)[0]:
+            for first in range(0, leaf.n, BATCH):
+                leaf.read(first, min(first + BATCH, leaf.n))
+    os._exit(0)  # nothing of this program's ends twice
+
+
+def _hdf5_leaves(path: Path) -> tuple[list[Leaf], list[str]]:
+    import h5py
+
     found: list[Leaf] = []
     left_out: list[str] = []
 
@@ -267,10 +302,8 @@ def hdf5(path: Path, format: str = "hdf5") -> Leaves:
         if not got and item.shape not in ((), (1,), None):
             left_out.append(f"{printable(name)}: no column of numbers")
 
-    with reading(path, "HDF5 file", *errors):
-        file = h5py.File(path, "r")
-        file.visititems(visit)
-    return _Guarded(path, "HDF5 file", errors, format, found, left_out)
+    h5py.File(path, "r").visititems(visit)
+    return found, left_out
 
 
 def _attribute(item: Any, *names: str) -> str:

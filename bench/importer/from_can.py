@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench.errors import BenchError
-from bench.importer.files import reading
+from bench.importer.files import reading, told_by
 from bench.importer.source import Column, Memory, Table
 from protocol.text import counted, printable
 
@@ -52,7 +52,8 @@ def log(path: Path, format: str, dbc: Path | None) -> Memory:
     }  # fmt: skip
     by_id = {(m.frame_id, m.is_extended_frame): m for m in getattr(database, "messages", ())}
     signals, unknown, wrong = _Signals(), Counter[int](), Counter[str]()
-    with reading(path, f"{format} log", Exception), readers[format](path) as reader:
+    logged: list[str] = []
+    with reading(path, f"{format} log", Exception), told_by("can", logged), readers[format](path) as reader:
         for frame in reader:
             if frame.is_error_frame or frame.is_remote_frame:
                 continue
@@ -66,7 +67,7 @@ def log(path: Path, format: str, dbc: Path | None) -> Memory:
                 wrong[message.name] += 1
                 continue
             _take(signals, message, frame.timestamp, decoded)
-    return _tables(path, format, signals, unknown, wrong)
+    return _tables(path, format, signals, unknown, wrong, logged)
 
 
 def _take(signals: _Signals, message: Any, time: float, decoded: Any) -> None:
@@ -79,8 +80,10 @@ def _take(signals: _Signals, message: Any, time: float, decoded: Any) -> None:
         signals.add(message.name, time, found, units)
 
 
-def _tables(path: Path, format: str, signals: _Signals, unknown: Counter[int], wrong: Counter[str]) -> Memory:
-    left_out = [f"{n} frames of {name} do not fit the DBC" for name, n in wrong.items()]
+def _tables(
+    path: Path, format: str, signals: _Signals, unknown: Counter[int], wrong: Counter[str], logged: list[str]
+) -> Memory:
+    left_out = [*logged, *(f"{n} frames of {name} do not fit the DBC" for name, n in wrong.items())]
     if unknown:
         ids = ", ".join(f"0x{number:x}" for number in list(unknown)[:5])
         left_out.append(f"{unknown.total()} frames of {counted(len(unknown), 'identifier')} the DBC has not ({ids})")

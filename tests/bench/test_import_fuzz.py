@@ -1,4 +1,4 @@
-"""Damaged files of every format: samples, or one line; never an exception, a crash or a number that is not in the file."""
+"""Damaged files of every format: samples, or one line; no exception, no crash, no number that is not in the file."""
 
 from __future__ import annotations
 
