@@ -13,7 +13,6 @@ from bench.importer.guess import complete
 from bench.importer.mapping import mapping_of
 from bench.importer.source import Arrays, Column, Memory, Table
 from bench.signal.capture import Capture
-from bench.signal.chunks import LostStretches, join, no_edge_stream, no_edges
 
 EDGES = "edges"
 
@@ -50,17 +49,7 @@ def capture(
             plain["time"] = {"rate_hz": rate}
     source = Memory(contents, tuple(tables))
     guess = complete(source, mapping_of(plain, "capture"))
-    prepared = importer.prepare(source, guess.mapping, guess.guessed)
-    samples, changes, converter = importer.chunks_of(prepared)
-    if not samples:
-        raise BenchError("no row has all that a sample needs")
-    config = converter.edge_config
-    none = no_edges(config if prepared.plan.lines else no_edge_stream(1, config.tick_hz, config.pwm_hz))
-    whole, all_edges = join(samples), join(changes) if changes else none
-    stretches = LostStretches()
-    lost = stretches.before(whole) + stretches.before(all_edges)
-    parameters = {} if prepared.plan.n_p is None else {"n_p": float(prepared.plan.n_p)}
-    return Capture(whole, all_edges, parameters, tuple(lost), edge_step=prepared.edge_step)
+    return importer.capture_of(importer.prepare(source, guess.mapping, guess.guessed))
 
 
 def _array(name: str, values: Any) -> Any:

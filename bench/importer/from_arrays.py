@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -358,7 +359,8 @@ class MdfFile:
         self._path = path
         self.left_out: list[str] = []
         with reading(path, "MDF file", Exception), told_by("asammdf", self.left_out):  # it raises what it meets
-            self._mdf = asammdf.MDF(path)
+            self._copies = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)  # of a file that was not finished
+            self._mdf = asammdf.MDF(path, temporary_folder=self._copies.name)
             self._where: dict[str, tuple[int, int, dict[str, int]]] = {}
             self.tables = tuple(self._tables())
             start = self._mdf.header.start_time

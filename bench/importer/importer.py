@@ -18,6 +18,8 @@ from bench.importer.source import Apart, Source
 from bench.importer.survey import Progress, Survey, survey
 from bench.record.info import RunInfo
 from bench.record.writer import RunWriter
+from bench.signal.capture import Capture
+from bench.signal.chunks import LostStretches, join, no_edge_stream, no_edges
 from protocol import __version__
 from protocol.streams import EdgeChunk, SampleChunk
 from protocol.text import counted
@@ -187,9 +189,8 @@ def _info(prepared: Prepared, converter: convert.Converter, path: Path, notes: S
         "time_0_s": prepared.seen.origin, "import_notes": list(notes),
         **({} if plan.lines else {"features": []}), **({"file": about} if about else {}),
     }  # fmt: skip
-    parameters = {} if plan.n_p is None else {"n_p": float(plan.n_p)}
     return RunInfo(
-        when.tick_hz, when.pwm_hz, converter.channels, parameters, identity,
+        when.tick_hz, when.pwm_hz, converter.channels, _parameters(plan), identity,
         started=str(about.get("started", "")), edge_step=prepared.edge_step,
     )  # fmt: skip
 
@@ -220,8 +221,8 @@ def rows(done: Imported) -> list[tuple[str, str]]:
     ]
 
 
-def chunks_of(prepared: Prepared) -> tuple[list[SampleChunk], list[EdgeChunk], convert.Converter]:
-    """All of it in memory."""
+def capture_of(prepared: Prepared) -> Capture:
+    """All of it in memory. Raises BenchError."""
     converter = convert.Converter(prepared.source, prepared.plan, prepared.seen, prepared.when)
     samples: list[SampleChunk] = []
     edges: list[EdgeChunk] = []
@@ -230,4 +231,15 @@ def chunks_of(prepared: Prepared) -> tuple[list[SampleChunk], list[EdgeChunk], c
             samples.append(chunk)
         else:
             edges.append(chunk)
-    return samples, edges, converter
+    if not samples:
+        raise BenchError(f"no row has all that a sample needs: {_why(converter.rejected.counts)}")
+    config = converter.edge_config
+    none = no_edges(config if prepared.plan.lines else no_edge_stream(config.node, config.tick_hz, config.pwm_hz))
+    whole, changes = join(samples), join(edges) if edges else none
+    stretches = LostStretches()
+    lost = stretches.before(whole) + stretches.before(changes)
+    return Capture(whole, changes, _parameters(prepared.plan), tuple(lost), edge_step=prepared.edge_step)
+
+
+def _parameters(planned: Plan) -> dict[str, float]:
+    return {} if planned.n_p is None else {"n_p": float(planned.n_p)}
