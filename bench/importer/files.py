@@ -8,7 +8,7 @@ import logging
 import sys
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -70,7 +70,8 @@ def told_by(library: str, into: list[str]) -> Iterator[None]:
     for logger in named:
         logger.handlers, logger.propagate = [sink], False
     try:
-        yield
+        with redirect_stdout(io.StringIO()):
+            yield
     finally:
         into += [f"{library}: {words}" for words in dict.fromkeys(sink.words)][:MOST_WORDS]
         sink.words.clear()

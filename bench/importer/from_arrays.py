@@ -404,7 +404,7 @@ class MdfFile:
             number, n, columns = self._where[table.name]
             names = [name for name in wanted[table.name] if name != table.time]
             for first in range(0, n, BATCH):
-                with reading(self._path, "MDF file", Exception):
+                with reading(self._path, "MDF file", Exception), told_by("asammdf", self.left_out):
                     part = {"group": number, "record_offset": first, "record_count": min(BATCH, n - first)}
                     found: Arrays = {}
                     for name in names or list(columns)[:1]:

@@ -103,9 +103,13 @@ class CsvFile:
                 raise BenchError(f"{self._path}: more than {MOST_COLUMNS} names in column {self._name}: is it a name?")
         written = self._written
         unit = written.units[written.names.index(self._time)]
-        return tuple(
-            Table(name or "", (Column(*split(name or "")), Column(self._time, unit)), self._time) for name in names
-        )
+        time = Column(self._time, unit)
+        return tuple(Table(name or "", (self._valued(name or "no name"), time), self._time) for name in names)
+
+    def _valued(self, name: str) -> Column:
+        """The column of a name's values."""
+        plain, unit = split(name)
+        return Column(plain if plain != self._time else f"{plain} value", unit)
 
     def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """See `bench.importer.source.Source`."""

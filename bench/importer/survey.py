@@ -255,8 +255,9 @@ def ticks_of(table: Table, columns: Arrays, row: int, factor: float, tick_hz: in
             n, bool
         )
     known = np.isfinite(values)
-    seconds = (np.where(known, values, 0.0) - origin / factor) * factor
-    return np.rint(np.clip(seconds * tick_hz, -(2.0**62), 2.0**62)).astype(np.int64), known
+    with np.errstate(over="ignore"):
+        seconds = (np.where(known, values, 0.0) - origin / factor) * factor
+        return np.rint(np.clip(seconds * tick_hz, -(2.0**62), 2.0**62)).astype(np.int64), known
 
 
 def _scaled(values: I64, up: int, down: int) -> I64:

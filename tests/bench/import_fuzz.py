@@ -13,6 +13,7 @@ import json
 import math
 import sys
 import tempfile
+import warnings
 from collections import Counter
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -144,6 +145,7 @@ def original(name: str, folder: Path) -> bytes:
 def run(name: str, seed: int, count: int) -> Counter[str]:
     """What came of so many damaged files; an exception that is no BenchError is raised, its file kept."""
     faulthandler.enable()
+    warnings.simplefilter("error", RuntimeWarning)  # of numpy: a number that went wrong unseen
     outcomes: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         data = original(name, Path(folder))
