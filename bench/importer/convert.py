@@ -407,15 +407,16 @@ def _values(one: Input, rows: _Rows, place: tuple[I64, I64, F64, NDArray[np.bool
     before, after, share, known = place
     if one.column not in rows.columns or not len(rows.ticks):
         return np.full(len(before), math.nan)
-    values = rows.columns[one.column].astype(np.float64) * one.factor + one.offset
-    first = values[before]
-    between = share > 0.0
-    if between.any():
-        way = values[after] - first
-        way = wrap(way) if one.wraps else way
-        first = np.where(between, first + share * way, first)
-    if one.wraps:
-        first = wrap(first)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is not known
+        values = rows.columns[one.column].astype(np.float64) * one.factor + one.offset
+        first = values[before]
+        between = share > 0.0
+        if between.any():
+            way = values[after] - first
+            way = wrap(way) if one.wraps else way
+            first = np.where(between, first + share * way, first)
+        if one.wraps:
+            first = wrap(first)
     return np.where(known & np.isfinite(first), first, math.nan)
 
 
