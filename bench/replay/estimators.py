@@ -282,7 +282,7 @@ def known(entry: Entry, parameters: Mapping[str, float], fed: Sequence[str]) -> 
 def done_without(names: Collection[str], stream: StreamConfig) -> tuple[str, ...]:
     """Which of these observers, by name, run on a stream without what would help them, in words."""
     lacking = {name: sorted({*CATALOGUE[name].needs.helpful}.difference(given(stream))) for name in names}
-    why = "not in the recording" if stream.decimation == 1 else "not in every PWM period"
+    why = "not streamed" if stream.decimation == 1 else "not at every PWM period"
     return tuple(
         f"{', '.join(name for name, of in lacking.items() if of == what)}: without {', '.join(what)}, {why}"
         for what in {tuple(what): what for what in lacking.values() if what}.values()

@@ -38,8 +38,6 @@ class Reference:
     kind: str
     """`ENCODER`, `EDGES`, or the name of an observer or of a recorded estimate."""
     channel: str
-    pieces: Pieces
-    """Those of the recording, with the channel."""
     sd_channel: str = ""
     """Channel of its standard deviation, rad; empty where none is stated."""
     fastest: float = 0.0
@@ -62,8 +60,8 @@ class Reference:
 
 def reference_of(
     asked: str, run: Run, pieces: Pieces, parameters: Mapping[str, float], recorded: Mapping[str, str]
-) -> Reference:
-    """The reference that is `asked` for by kind, or the best that there is for `AUTO`.
+) -> tuple[Reference, Pieces]:
+    """The reference that is `asked` for by kind, or the best that there is for `AUTO`; the pieces, with its channels.
 
     `recorded`: estimates that the recording has, and the channels of their angles. BenchError where it cannot be had.
     """
@@ -72,19 +70,20 @@ def reference_of(
     if asked == ENCODER or (asked == AUTO and encoder):
         if not encoder:
             raise BenchError(f"{path} cannot be scored against an encoder: it has none; use --reference edges")
-        return Reference(ENCODER, encoder, pieces)
+        return Reference(ENCODER, encoder), pieces
     if asked in (AUTO, EDGES):
         if why := not_replayable(config, edges):
             lacks = "no reference angle: it needs an encoder, or Hall codes and edges"
             raise BenchError(f"{path} cannot be scored: {lacks}; {why}")
         told = by_edges(lambda: pieces(channels={"hall"}), parameters, str(path))
-        return Reference(EDGES, ANGLE, _with_edges(pieces, told), SD, told.fit.fastest, _words(told), _stated(told))
+        found = Reference(EDGES, ANGLE, SD, told.fit.fastest, _words(told), _stated(told))
+        return found, _with_edges(pieces, told)
     if (name := asked.replace("-", "_")) in recorded:
-        return Reference(name, recorded[name], pieces)
+        return Reference(name, recorded[name]), pieces
     name = entry_of(asked).name
     if why := not_replayable(config, edges, [name]):
         raise BenchError(f"{path} cannot be scored against {name}: {why}")
-    return Reference(name, ANGLE, _with_observer(pieces, name, parameters, config))
+    return Reference(name, ANGLE), _with_observer(pieces, name, parameters, config)
 
 
 def _with_edges(pieces: Pieces, told: ByEdges) -> Pieces:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -26,9 +26,8 @@ from bench.replay.estimators import INPUTS, Estimate, Estimators, all_for, done_
 from bench.replay.replay import ENDS_EARLY, checked_settings, not_replayable
 from bench.score.course import Course, Stretch, survey
 from bench.score.phases import CONTEXT, phases_with, speed_of
-from bench.score.reference import AUTO, EDGES, ENCODER, NOT_SEEN, Reference, reference_of
+from bench.score.reference import AUTO, EDGES, ENCODER, NOT_SEEN, Pieces, Reference, reference_of
 from bench.score.tally import Block, Envelope, OverTime, Tally, error_of
-from bench.signal.capture import Capture
 from bench.signal.delays import delays_of
 from bench.signal.position import Moments
 from bench.signal.trace import STATOR, Trace
@@ -121,18 +120,16 @@ def load(source: Source, asked: Asked) -> Track:
     parameters = run.info.parameters
     parameters = {**parameters, **checked_settings(asked.settings, asked.names or tuple(CATALOGUE), parameters)}
     (config, _), recorded = run.drive_streams, _recorded(run.drive_streams[0])
-    pieces = partial(captures, run, *ticks_between(run, asked.begin, asked.end))
+    pieces: Pieces = partial(captures, run, *ticks_between(run, asked.begin, asked.end))
     channels = {name: angle for name, (_, angle, _) in recorded.items()}
-    reference = reference_of(asked.reference, run, pieces, parameters, channels)
+    reference, pieces = reference_of(asked.reference, run, pieces, parameters, channels)
     n_p = pole_pairs(parameters)
     status = [channel.name for channel in config.channels if channel.name == "status"]
     speeds = _speeds(config)
-    course = survey(
-        reference.pieces(channels={reference.channel, *speeds, *status}), reference.channel, speeds, n_p or 1
-    )
+    course = survey(pieces(channels={reference.channel, *speeds, *status}), reference.channel, speeds, n_p or 1)
     fastest = reference.fastest or (n_p or 1) * parameters.get("omega_m_max", 0.0)
     _require_unambiguous(course, str(run.path), config.rate, fastest)
-    return _track(run, parameters, reference, course, asked.names)
+    return _track(run, parameters, reference, pieces, course, asked.names)
 
 
 def _chosen(
@@ -162,7 +159,12 @@ def _chosen(
 
 
 def _track(
-    run: Run, parameters: Mapping[str, float], reference: Reference, course: Course, names: Sequence[str] | None
+    run: Run,
+    parameters: Mapping[str, float],
+    reference: Reference,
+    pieces: Pieces,
+    course: Course,
+    names: Sequence[str] | None,
 ) -> Track:
     config, _ = run.drive_streams
     n_p, recorded = pole_pairs(parameters), _recorded(config)
@@ -175,7 +177,7 @@ def _track(
     wanted = {*told, *estimates, *(name for name in (*INPUTS, *STATOR) if name in there)}
     scored = _Scored(course, kinds, reference, config.rate, parameters)
     trace = Trace()
-    for window in windows(reference.pieces(channels=wanted), CONTEXT):
+    for window in windows(pieces(channels=wanted), CONTEXT):
         if reference.kind == ENCODER:
             trace.add(window)
         found = _estimates(window.samples, recorded)
@@ -194,7 +196,7 @@ def _track(
         path=str(run.path),
         rate=config.rate,
         pole_pairs=n_p or 1,
-        reference=replace(reference, pieces=_no_more),
+        reference=reference,
         sd=scored.sd,
         unknown=course.unknown,
         stretches=tuple(stretch for stretch in course.stretches if scored.takes(stretch)),
@@ -213,11 +215,6 @@ def _track(
         identity=run.info.identity,
         notes=(*([] if run.ended else [ENDS_EARLY]), *run.damage, *notes),
     )
-
-
-def _no_more(**_: object) -> Iterable[Capture]:
-    """A track keeps no recording open."""
-    return ()
 
 
 def _by_edges(reference: Reference, course: Course, sd: Moments) -> list[str]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import tee
 from typing import NamedTuple
 
@@ -49,6 +50,8 @@ LATE, SURE = math.radians(0.5), 3.0
 BENT, JITTER = 0.03, 0.02
 """What of the scatter of the bend of time over a turn may be in an edge's mean time, 0.006 where the bend changes
 smoothly; and what of an edge's variance the bend adds to it."""
+UNSEEN = 2.0
+"""Times the mean square of what is seen of a swing, as places may hide some of it."""
 ALIKE = 3.0
 """Edges that the end of one magnet makes, where turns are not those of the shaft."""
 
@@ -83,6 +86,13 @@ class ByEdges:
     n_p: int
     """Pole pairs, where the turns are those of the shaft; 0: they are electrical."""
 
+    @cached_property
+    def scatter(self) -> float:
+        """rad², of one edge of these turns, in the mean of the recording."""
+        own = 0.0 if self.n_p else float(np.mean(np.square(self.fit.pairs)))
+        jitter = self.fit.jitter[np.isfinite(self.fit.jitter)]
+        return own + (float(np.mean(np.square(jitter))) if len(jitter) else 0.0)
+
     def _swing(self, off: Floats, n: int) -> Floats:
         """Mean square that edges, (m,) rad late and n in a turn, repeat once and twice in a turn of the shaft, of the
         turn around each that has half of one on either side: places, or a shaft that swings.
@@ -92,7 +102,7 @@ class ByEdges:
         for times in range(1, min(3, self.n_p)):
             wave = off * np.exp(-1j * math.tau * times / n * np.arange(len(off)))
             sums = np.concatenate([[0.0], np.cumsum(wave)])
-            found += 2.0 * np.square(np.abs(sums[n:] - sums[:-n]) / n)[: len(found)]
+            found += 2.0 * UNSEEN * np.square(np.abs(sums[n:] - sums[:-n]) / n)[: len(found)]
         return found
 
     @property
@@ -154,7 +164,9 @@ class ByEdges:
         jitter = _rolling(square, 2 * n) / 12.0
         mean, scatter = _rolling(bend, 2 * n + 1), _rolling(np.square(bend), 2 * n + 1)
         spread = np.maximum(scatter - np.square(mean), 0.0)
-        each = 1.0 / n if self.n_p else min(1.0, ALIKE / n) * ALIKE  # edges of one magnet do not scatter
+        each = 1.0 / n if self.n_p else min(1.0, ALIKE / n)
+        jitter *= 1.0 if self.n_p else ALIKE  # edges of one magnet do not scatter
+        jitter = np.maximum(jitter, self.scatter / np.square(omega))
         time = jitter * (each + JITTER) + BENT**2 * spread + self.step**2 / 12.0
         half = n // 2
         late = self._swing((t[j] - even) * np.abs(slope), n)[n - half : half - n or None]
@@ -193,9 +205,8 @@ def by_edges(captures: Callable[[], Iterable[Capture]], parameters: Mapping[str,
     if n_p == 1:
         return of_shaft
     told = np.zeros(2)
-    for both in zip(
-        *(how.added(same) for how, same in zip((of_shaft, electrical), tee(captures()), strict=True)), strict=True
-    ):
+    by_shaft, by_turn = tee(captures())
+    for both in zip(of_shaft.added(by_shaft), electrical.added(by_turn), strict=True):
         told += [np.count_nonzero(np.isfinite(one.samples.raw[ANGLE])) for one in both]
     return of_shaft if told[0] > MUCH * told[1] else electrical
 
