@@ -800,11 +800,17 @@ def _bounded(
             P[14],
         )
         kalman = kalman._replace(x=(theta, omega, alpha, b, c), P=P)
-    most = width * width / 12.0  # variance of an angle that is anywhere in between
+    return _between(kalman, last.at + 0.5 * last.way * width, width)
+
+
+@kernel
+def _between(kalman: Filter, middle: float, width: float) -> Filter:
+    """The filter where the angle is anywhere in a sector, `width` rad about its `middle`: no less is known of it."""
+    most = width * width / 12.0  # variance
     if kalman.P[0] > most:
         g = _ago(kalman.P, 0.0)
         s = 1.0 / (g[0] + most * g[0] / (g[0] - most))
-        z = wrap(last.at + 0.5 * last.way * width - theta)
+        z = wrap(middle - kalman.x[0])
         kalman = kalman._replace(x=covariance.added(kalman.x, g, s * z), P=covariance.less(kalman.P, g, s))
     return kalman
 
@@ -922,6 +928,8 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
         kalman, last = _in_sector(scale, kalman, last, lessons, sector)
     if last.passed > 0:
         kalman = _bounded(scale, kalman, last, state.belief, lessons, state.levels.code, sharp)
+    elif not driven and sector >= 0:
+        kalman = _between(kalman, centre(sector, 0.0), SECTOR_WIDTH)
     kalman = _with_gains(scale, kalman, psi, watch.i_q)
     twice = edge_lessons.twice_of(lessons, scale, kalman.x[1])
     six = edge_lessons.six_of(lessons, scale, kalman.x[1])
