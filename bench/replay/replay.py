@@ -161,10 +161,11 @@ def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, flo
 
 def not_replayable(samples: StreamConfig, edges: StreamConfig | None, names: Sequence[str] = ()) -> str:
     """Why these observers, or any, cannot be run on what these streams hold, in words; empty if they can."""
-    if edges is None or streams_none(edges):
-        return unfit(samples) or "it has no Hall edges"
     whys = {name: unfit(samples, CATALOGUE[name].needs.required) for name in names} or {"": unfit(samples)}
-    return next((f"{name}: {why}" if len(names) > 1 else why for name, why in whys.items() if why), "")
+    for name, why in whys.items():
+        if why:
+            return f"{name}: {why}" if len(names) > 1 else why
+    return "it has no Hall edges" if edges is None or streams_none(edges) else ""
 
 
 def checked_settings(

@@ -588,7 +588,7 @@ def _edge(
     sure = sharp and state.watch.quiet > QUIET
     all_off = (last.off | belief.sensors) & hall_levels.ALL == hall_levels.ALL
     lost = all_off and not (sure and abs(omega) > scale.omega_b)
-    by_codes = last.passed == 0 or lost or kalman.P[0] > CODES * CODES
+    by_codes = last.passed == 0 or lost or not driven or kalman.P[0] > CODES * CODES
     boundary, way = _boundary(lessons, sensor, before, state.levels.code, then, by_codes)
     slot = hall_places.slot(boundary, way)
     at = hall_places.angle(places, boundary, way) + lessons.common[4] * omega
