@@ -21,6 +21,7 @@ from virtual_run import run as live
 import bench
 from bench.cli.score import command
 from bench.errors import BenchError
+from bench.hall.lessons import learned
 from bench.replay.estimators import Estimators
 from bench.replay.replay import replay
 from bench.score.report import as_html
@@ -183,6 +184,12 @@ def test_what_is_missing_is_named_and_what_to_do() -> None:
         bench.score(whole, few, observers=["avg"], **KNOWN)
     with pytest.raises(BenchError, match=r"no reference angle: it needs an encoder, or Hall codes and edges"):
         bench.score(replace(few, edges=replace(few.edges, config=replace(few.edges.config, block=0))), **KNOWN)
+
+
+def test_edges_are_not_learned_without_voltages() -> None:
+    """The filter would know them to each other only, and say no less of its certainty."""
+    with pytest.raises(BenchError, match="the Kalman filter cannot run on this recording: it has no channel u_alpha"):
+        learned(replace(edges_alone(captured()), parameters=captured().parameters), "filter")
 
 
 def test_the_command_scores_edges_alone(tmp_path: Path) -> None:
