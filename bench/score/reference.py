@@ -80,7 +80,12 @@ def reference_of(
         return found, _with_edges(pieces, told)
     if (name := asked.replace("-", "_")) in recorded:
         return Reference(name, recorded[name]), pieces
-    name = entry_of(asked).name
+    try:
+        name = entry_of(asked).name
+    except BenchError as error:
+        raise BenchError(
+            f"no reference '{asked}': it is encoder, edges, a recorded estimate or an observer; {error}"
+        ) from None
     if why := not_replayable(config, edges, [name]):
         raise BenchError(f"{path} cannot be scored against {name}: {why}")
     return Reference(name, ANGLE), _with_observer(pieces, name, parameters, config)

@@ -267,6 +267,7 @@ def fitted_blind(inputs: Inputs, tick_hz: float, n_p: int | None, step: float) -
     use, off, omega = _against_revolution(at.tick / tick_hz, passed, at.up)
     at = _Passages(at.edge[use], at.up[use], at.input[use], at.falls[use], at.tick[use], at.angle[use], omega, off)
     at = _some(at)
+    off = at.off
     if len(at.edge) < 2 * SECTORS:
         return None
     pairs = _told_apart(n_p, at) if n_p else 1

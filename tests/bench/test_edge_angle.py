@@ -144,6 +144,17 @@ def test_where_edges_do_not_come_steadily_no_angle_is_told(effect: Bounce | Puls
     assert not np.isfinite(sd[still]).any()
 
 
+def test_of_more_passages_than_are_fitted_some_are() -> None:
+    """60 000 edges; rises that come 60 us late are 7 deg at 350 turns a second."""
+    recording = Recording(Motor(4), Way(ways((0.5, 5200.0), (20.0, 5200.0), (1.0, 3000.0), (14.0, 3000.0))),
+                          Sensors(displaced=(4.0, -4.0, 0.0), rise_late=(60e-6,) * 3))  # fmt: skip
+    how, error, sd = told(recording, n_p=4.0)
+    assert how.fit.passages > 20_000
+    assert how.late[0] == pytest.approx(60e-6, abs=3e-6)
+    assert how.kind == "falling"
+    assert assert_it_holds(error, sd) < 1
+
+
 def test_lost_edges_are_bridged_by_no_angle() -> None:
     recording = Recording(Motor(2), Way(ways((0.2, 900.0), (4.0, 900.0))))
     capture = recording.capture()

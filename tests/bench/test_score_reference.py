@@ -174,7 +174,9 @@ def test_what_is_missing_is_named_and_what_to_do() -> None:
         bench.score(few)
     with pytest.raises(BenchError, match="against an encoder: it has none; use --reference edges"):
         bench.score(few, reference="encoder", **KNOWN)
-    with pytest.raises(BenchError, match="no observer 'edgse'"):
+    with pytest.raises(
+        BenchError, match="no reference 'edgse': it is encoder, edges, a recorded estimate or an observer; no obs"
+    ):
         bench.score(few, reference="edgse", **KNOWN)
     with pytest.raises(BenchError, match="against vector_tracking: it has no channel u_alpha"):
         bench.score(few, reference="vt", **KNOWN)
