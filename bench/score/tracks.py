@@ -188,7 +188,7 @@ def _track(
     if reference.kind == ENCODER and (words := blame(delays_of(trace))[1]):
         notes.append(f"angles differ in time: {words}")
     if reference.kind == EDGES:
-        notes += _by_edges(reference, course, scored.sd)
+        notes = [*_by_edges(reference, course, scored.sd, (n_p or 1) * parameters.get("omega_m_max", math.inf)), *notes]
     if n_p is None:
         notes.append("the number of pole pairs is unknown: r/min are electrical")
     kernels = None if estimators is None else estimators.kernels
@@ -217,13 +217,16 @@ def _track(
     )
 
 
-def _by_edges(reference: Reference, course: Course, sd: Moments) -> list[str]:
+def _by_edges(reference: Reference, course: Course, sd: Moments, allowed: float) -> list[str]:
+    """What to know of a reference by edges; `allowed`: electrical rad/s that observers are told not to expect more."""
+    beyond = f"omega_m_max is {allowed:.0f} electrical rad/s, and the edges show {reference.fastest:.0f}: --set more"
     within = f"; it holds within {sd.rms:.2f} deg rms, {sd.peak:.2f} at most (standard deviation)" if sd.n else ""
     share = course.unknown / max(course.samples, 1)
     return [
         f"reference: {reference.words}{within}",
         f"not scored: {course.unknown} of {course.samples} samples ({share:.0%}): the edges do not come steadily there",
         NOT_SEEN,
+        *([beyond] if reference.fastest > allowed else []),
     ]
 
 

@@ -142,7 +142,8 @@ class ByEdges:
             starts = np.flatnonzero(np.concatenate([[True], ~goes_on]))
             for first, last in zip(starts, [*starts[1:], len(edge)], strict=True):
                 if last - first > 4 * self.per_turn:
-                    parts.append(self._run(edges, slice(first, last), edge, int(way[first])))
+                    with np.errstate(divide="ignore", invalid="ignore"):  # edges of one tick tell no angle
+                        parts.append(self._run(edges, slice(first, last), edge, int(way[first])))
         return Knots(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     def _run(self, edges: EdgeChunk, rows: slice, edge: NDArray[np.int64], way: int) -> Knots:

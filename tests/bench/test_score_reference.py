@@ -168,6 +168,13 @@ def test_a_recorded_estimate_is_a_reference_too(tmp_path: Path) -> None:
     assert board.pooled["average_speed"]["moving"]["max"] < 0.02  # its raw format
 
 
+def test_a_largest_speed_that_is_too_low_is_said() -> None:
+    """Observers go by it: those that hold a speed cut it, and the Kalman filter takes it for a measure of all."""
+    board = bench.score(edges_alone(captured()), observers=["avg"], n_p=4, omega_m_max=50)
+    assert any("omega_m_max is 200 electrical rad/s, and the edges show 503: --set more" in n for n in board.notes)
+    assert not any("omega_m_max" in n for n in bench.score(edges_alone(captured()), observers=["avg"], **KNOWN).notes)
+
+
 def test_what_is_missing_is_named_and_what_to_do() -> None:
     few, whole = edges_alone(captured()), captured()
     with pytest.raises(BenchError, match=r"average_speed: it needs n_p, omega_m_max.*; give them with --set NAME="):
