@@ -89,7 +89,7 @@ def _provenance(track: Track) -> str:
     return (
         f"{about}{date(track.started)}{by}; "
         f"{track.samples} samples, {track.samples / track.rate:.1f} s at {track.rate:g} Hz; "
-        f"{track.lost} lost, {track.dropped} not scored, observers restarted {began} times"
+        f"{track.lost} lost, {track.dropped + track.unknown} not scored, observers restarted {began} times"
     )
 
 
