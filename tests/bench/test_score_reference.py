@@ -29,6 +29,7 @@ from bench.score.table import as_text
 from bench.signal.capture import Capture
 from bench.signal.chunks import narrowed, of_channels
 from sim.observers.catalogue import CATALOGUE
+from tests.bench.hall_cases.drives import healthy
 from tests.bench.hall_cases.recording import Motor, Recording, Sensors, write_run
 from tests.bench.hall_cases.shaft import Way, ways
 
@@ -108,6 +109,24 @@ def test_what_profits_from_more_follows_the_shaft_without_it(name: str, decimati
         assert -0.6 < part.mean() * np.sign(speed) < late + 0.6
         assert 0.02 < part.std() < 2.5
     assert np.abs(error[capture.t > 0.5]).max() < 60
+
+
+@pytest.mark.long("ten drives")
+def test_on_edges_alone_the_kalman_filter_keeps_its_place_on_other_drives() -> None:
+    """Ten motors, checked, coasting and turned by hand: not those captures on which its constant was chosen."""
+    rms: dict[str, list[float]] = {"edge_kalman": [], "average_speed": []}
+    for number in range(1000, 1050, 5):
+        drive = healthy(number + number // 5 % 5).but(decimation=1)
+        capture = drive.capture()
+        known = {name: capture.parameters[name] for name in ("n_p", "omega_m_max")}
+        theta = drive.shaft * drive.motor.n_p - math.radians(drive.sensors.ring)
+        turns = np.abs(np.gradient(theta, drive.t)) > 3 * math.tau
+        for name, of in rms.items():
+            found = bench.estimate(edges_alone(capture), name, **known)[f"theta_{CATALOGUE[name].short}_host"]
+            error = np.degrees((theta - found + math.pi) % math.tau - math.pi)[turns]
+            assert np.abs(error).max(initial=0.0) < 90, (number, name)
+            of.append(float(np.sqrt(np.mean(error**2))))
+    assert 2 < np.nanmedian(rms["edge_kalman"]) < np.nanmedian(rms["average_speed"]) < 8
 
 
 def test_without_an_encoder_figures_are_those_with_one() -> None:
