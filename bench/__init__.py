@@ -191,7 +191,7 @@ def estimate(capture: Capture, observer: str, /, **settings: float) -> Capture:
     """The capture with an observer's estimates beside it, as channels `theta_<short>_host` and `omega_<short>_host`.
 
     Args:
-        capture: samples at every PWM period, with the inputs that observers have: codes, voltages, currents.
+        capture: Hall codes and edges; at every PWM period voltages and currents, for observers that need them.
         observer: name or short name, as `bench replay --list` shows them.
         settings: drive parameters for the observer, in their units, such as `k_p=900`; else those of the capture.
 
@@ -203,23 +203,27 @@ def estimate(capture: Capture, observer: str, /, **settings: float) -> Capture:
     return estimate_capture(capture, observer, settings)
 
 
-def score(*runs: Source, observers: Sequence[str] = ()) -> Scoreboard:
-    """How good position estimates are, with the encoder as the reference: those in the runs, and observers run on them.
+def score(*runs: Source, observers: Sequence[str] = (), reference: str = "auto", **settings: float) -> Scoreboard:
+    """How good position estimates are, against a reference: those in the runs, and observers run on them.
 
     Args:
         runs: captures, recordings, or paths of recordings; several are pooled.
         observers: names, as `bench score --observer` takes them; none: all.
+        reference: encoder; edges, the run's own at steady speed; the name of an observer or a recorded estimate, from
+            which differences are then told, not errors; auto: the encoder, else edges.
+        settings: drive parameters for the observers, such as `n_p=15`; else those of the run.
 
     Returns:
         `.pooled[name]` holds an observer's figures, angles in electrical degrees, the best first; `.to_pandas()` the
         same as a table; `.by_file` those of each run; `.as_json()` all of it as plain data.
 
     Raises:
-        BenchError: a run without encoder or samples, a name that is nowhere.
+        BenchError: a run without the reference or samples, a name that is nowhere, a setting out of range.
     """
     from bench.score.board import score as board
 
-    return board([Path(run) if isinstance(run, str) else run for run in runs], observers)
+    paths = [Path(run) if isinstance(run, str) else run for run in runs]
+    return board(paths, observers, reference=reference, settings=settings)
 
 
 def hall(run: Source, begin: float | None = None, end: float | None = None) -> Health:

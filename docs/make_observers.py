@@ -19,6 +19,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from protocol.signals import AngleSource
+from sim.observers.catalogue import CATALOGUE
 
 DOCS = Path(__file__).parent
 PARTS = DOCS / "observers"
@@ -69,6 +70,7 @@ def page(numbers: Mapping[str, Any] | None = None) -> str:
         own_observer=(own / "smoothed_average.py").read_text().rstrip(),
         own_project=(own / "pyproject.toml").read_text().rstrip(),
         next_source=max(AngleSource) + 1,
+        needs={name: CATALOGUE[name].needs.words for name in CATALOGUE if (PARTS / f"{name}.md.j2").is_file()},
     )
 
 

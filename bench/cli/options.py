@@ -25,6 +25,29 @@ def part_options(before: str = "") -> Callable[[Command], Command]:
     return decorate
 
 
+def setting(value: Any) -> tuple[str, float]:
+    """Split NAME=VALUE with a finite number, or say why not."""
+    if isinstance(value, tuple):
+        return value
+    name, sign, number = str(value).partition("=")
+    if not sign or not name.strip():
+        raise click.BadParameter(f"'{value}' is not NAME=VALUE")
+    return name.strip(), Number().convert(number.strip(), None, None)
+
+
+def _once(_context: click.Context, _parameter: click.Parameter, settings: tuple[tuple[str, float], ...]) -> Any:
+    names = [name for name, _ in settings]
+    if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+        raise click.UsageError(f"--set {twice[0]} is given {names.count(twice[0])} times: give it once")
+    return dict(settings)
+
+
+settings_option = click.option(
+    "--set", "settings", metavar="NAME=VALUE", multiple=True, type=setting, callback=_once,
+    help="Replace a drive parameter for the observers, such as k_p=900 or n_p=15; repeatable.",
+)  # fmt: skip
+
+
 class _Names(click.ParamType[tuple[str, ...]]):
     """Names with commas between them, one or more."""
 

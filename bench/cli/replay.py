@@ -8,25 +8,14 @@ from typing import Any
 import click
 
 from bench.cli.files import RUN, check_files, json_option, overwrite_option, write_json
-from bench.cli.number import Number
-
-
-def setting(value: Any) -> tuple[str, float]:
-    """Split NAME=VALUE with a finite number, or say why not."""
-    if isinstance(value, tuple):
-        return value
-    name, sign, number = str(value).partition("=")
-    if not sign or not name.strip():
-        raise click.BadParameter(f"'{value}' is not NAME=VALUE")
-    return name.strip(), Number().convert(number.strip(), None, None)
+from bench.cli.options import settings_option
 
 
 @click.command("replay")
 @click.argument("run", metavar="RUN", type=RUN, required=False)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
               help="Observer to run, by name or short name; repeatable [default: all].")  # fmt: skip
-@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, type=setting,
-              help="Replace a drive parameter for the observers, such as k_p=900; repeatable.")  # fmt: skip
+@settings_option
 @click.option("-o", "--out", metavar="RUN", type=RUN, help="New recording [default: RUN.replay.run].")
 @json_option("the summary")
 @overwrite_option
@@ -37,8 +26,8 @@ def command(
 ) -> None:
     """Run observers on a recording, beside the drive's own estimates and the encoder.
 
-    RUN: a recording of bench live --save with every PWM period. The new recording holds all its data plus the channels
-    theta_…_host and omega_…_host; bench view opens it.
+    RUN: a recording of bench live --save, with every PWM period for observers that need voltages. The new recording
+    holds all its data plus the channels theta_…_host and omega_…_host; bench view opens it.
 
     \b
     Examples:
@@ -53,13 +42,10 @@ def command(
     if run is None:
         raise click.UsageError("Missing argument 'RUN'.")
     check_files({"--out": out, "--json": json_file}, overwrite, [run], recordings=["--out"])
-    names = [name for name, _ in settings]
-    if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
-        raise click.UsageError(f"--set {twice[0]} is given {names.count(twice[0])} times: give it once")
     from bench.cli.output import pairs
     from bench.replay.replay import as_json, replay, rows
 
-    result = replay(run, observers, dict(settings), out, overwrite)
+    result = replay(run, observers, settings, out, overwrite)
     if json_file is not None:
         write_json(json_file, as_json(result))
         return
@@ -70,9 +56,9 @@ def _list(json_file: Path | None) -> None:
     from bench.cli.output import table
     from sim.observers.catalogue import BROKEN, CATALOGUE
 
-    headers = ("observer", "short", "source")
-    rows = [[entry.name, entry.short, entry.source] for entry in CATALOGUE.values()]
-    rows += [[name, "", f"cannot be used: {why}"] for name, why in BROKEN.items()]
+    headers = ("observer", "short", "needs", "source")
+    rows = [[entry.name, entry.short, entry.needs.words, entry.source] for entry in CATALOGUE.values()]
+    rows += [[name, "", "", f"cannot be used: {why}"] for name, why in BROKEN.items()]
     if json_file is not None:
         write_json(json_file, [dict(zip(headers, row, strict=True)) for row in rows])
         return

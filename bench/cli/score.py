@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from bench.cli.files import FILE, RUN, check_files, json_option, overwrite_option, write_json
-from bench.cli.options import part_options
+from bench.cli.options import part_options, settings_option
 from bench.cli.streams import echo, note
 from bench.files import STANDARD_OUTPUT, write
 
@@ -30,6 +30,9 @@ def share(value: Any) -> float:
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=RUN)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
               help="Score only this: a name of bench replay --list, or drive_vt, …; repeatable.")  # fmt: skip
+@click.option("--reference", metavar="WHAT", default="auto", show_default=True,
+              help="Compare with encoder, edges (the run's own), or an observer; auto: encoder or edges.")  # fmt: skip
+@settings_option
 @part_options()
 @click.option("--html", metavar="FILE", type=FILE, help="Write all statistics and plots to one HTML file.")
 @json_option("all statistics")
@@ -44,8 +47,9 @@ def share(value: Any) -> float:
 def command(runs: tuple[Path, ...], observers: tuple[str, ...], overwrite: bool, margin: float, **given: Any) -> None:
     """Rank position observers on recordings by error, lag and cost.
 
-    RUN: recordings of bench live --save from a drive with an encoder. Every observer runs on the recorded currents,
-    voltages and Hall edges, and is scored like the drive's own estimates; several recordings are pooled.
+    RUN: recordings of bench live --save. Every observer runs on what it needs of the recorded Hall edges, currents and
+    voltages, and is scored like the drive's own estimates; several recordings are pooled. Without an encoder the
+    reference is the recording's own edges at steady speed.
 
     Exit codes: 0 done, 1 a statistic is outside --expect, 2 error.
 
@@ -55,6 +59,7 @@ def command(runs: tuple[Path, ...], observers: tuple[str, ...], overwrite: bool,
       bench score a.run b.run --html score.html --json score.json
       bench score a.run --expect limits.toml
       bench score day.run --from 3600 --to 7200
+      bench score edges.run --set n_p=15 --set omega_m_max=40
     """
     html, json_file, csv_file, write_expect, expect = (
         given[k] for k in ("html", "json_file", "csv_file", "write_expect", "expect")
@@ -66,7 +71,9 @@ def command(runs: tuple[Path, ...], observers: tuple[str, ...], overwrite: bool,
     from bench.score.table import as_csv, as_text
 
     expected = None if expect is None else bounds.read(expect)
-    board = score(runs, observers, given["begin"], given["end"])
+    board = score(
+        runs, observers, given["begin"], given["end"], reference=given["reference"], settings=given["settings"]
+    )
     say = note if STANDARD_OUTPUT in outputs.values() else echo
     for line in as_text(board):
         say(line)

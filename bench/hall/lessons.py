@@ -81,21 +81,28 @@ def _of_drive(whole: Capture | Recorded) -> Lessons:
 
 
 def _of_host(whole: Capture | Recorded) -> Lessons:
-    from bench.replay.estimators import INPUTS, Estimators
-    from bench.replay.replay import not_replayable  # numba takes 0.5 s, which a check has no need of
+    from bench.replay.estimators import INPUTS, Estimators, unfit  # numba takes 0.5 s, which a check has no need of
+    from bench.replay.replay import not_replayable
 
     last = _Last("the host's filter, on the recorded data")
     estimators: Estimators | None = None
     for capture in pieces_of(whole, INPUTS):
         config = capture.samples.config
         if estimators is None:
-            if why := not_replayable(config, capture.edges.config):
+            if why := not_replayable(config, capture.edges.config) or unfit(config, taught_by()):
                 raise BenchError(f"no edges learned: the Kalman filter cannot run on this recording: {why}")
             estimators = Estimators([OBSERVER], capture.parameters, config, follow=False)
         estimators.edges(capture.edges)
         found = estimators.records(capture.samples)[OBSERVER]
         last.add(*(found[name] for name in ("lesson", "learned", "learned_sd", "sensors")))
     return last.lessons(capture.parameters)
+
+
+def taught_by() -> tuple[str, ...]:
+    """The channels that edges are learned from: on edges alone the filter knows where they lie to each other only."""
+    from sim.observers.catalogue import CATALOGUE
+
+    return CATALOGUE[OBSERVER].needs.helpful
 
 
 class _Last:

@@ -138,7 +138,7 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
             if options.by == "filter" and rig.samples is not None:
                 from bench.replay.estimators import unfit
 
-                if why := unfit(rig.samples):
+                if why := unfit(rig.samples, lessons.taught_by()):
                     raise BenchError(f"the Kalman filter cannot run on this stream: {why}")
             turned = Turner(rig, options.speed_rpm, screen.progress).spin()
         drive.stop_streams()  # nobody reads them while somebody measures

@@ -134,10 +134,11 @@ class LiveRun:
         if options.host_observers or options.estimate:
             needed = self._inputs(channels)
             missing = [name for name in needed if name not in {channel.name for channel in channels}]
-            if missing or decimation != 1:
-                raise BenchError(
-                    f"{on_host} needs every PWM period" + (f" and the channels {', '.join(missing)}" if missing else "")
-                )
+            lacks = ["every PWM period"] if len(needed) > 1 and (missing or decimation != 1) else []
+            lacks += [f"the channels {', '.join(missing)}"] if missing else []
+            if lacks:
+                raise BenchError(f"{on_host} needs {' and '.join(lacks)}")
+            needed = needed if len(needed) > 1 else ()  # edges alone come at any rate
         if not self.node.offers_edges:
             self.screen.note("no Hall edges: the drive does not offer them (feature EDGES)")
         try:
@@ -153,13 +154,19 @@ class LiveRun:
         return self.rig.samples
 
     def _inputs(self, channels: tuple[Channel, ...]) -> tuple[str, ...]:
-        """What observers here must be given. BenchError for a name that is wrong, and where there is nothing to do."""
+        """What observers here must be given, `hall` alone or at every PWM period with voltages and currents.
+
+        BenchError for a name that is wrong, and where there is nothing to do.
+        """
         from bench.replay.estimators import CHECKED, compared_inputs, entry_of
 
         names = {channel.name for channel in channels}
         if self.options.host_observers and not names & CHECKED.keys():
             raise BenchError("--host-observers has nothing to compare: add an estimate to --channels, such as theta_vt")
-        names |= {f"theta_{entry_of(name).short}" for name in self.options.estimate}
+        asked = [entry_of(name) for name in self.options.estimate]
+        if not self.options.host_observers and not any(entry.needs.required for entry in asked):
+            return ("hall",)
+        names |= {f"theta_{entry.short}" for entry in asked}
         switch = "load_angle_comp"
         on = self.node.has_parameter(switch) and self.node.parameter(switch).value != 0.0
         return compared_inputs(names, on)
@@ -186,8 +193,11 @@ class LiveRun:
         augmenter = None
         if options.estimate:
             from bench.replay.augment import Augmenter
+            from bench.replay.estimators import done_without
 
             augmenter = Augmenter(options.estimate, parameters, stream)
+            for words in done_without([entry.name for entry in augmenter.estimators.entries], stream):
+                self.screen.note(f"--estimate: {words}")
         added = augmenter.channels if augmenter else ()
         triggers = [Condition.parse(text) for text in options.trigger]
         for condition in triggers:

@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from bench.record.info import HOST_SUFFIX
 from bench.replay.estimators import Estimators, raw_counts
+from bench.signal.chunks import with_columns
 from protocol.descriptor import Channel
 from protocol.signals import ANGLE, SPEED, Flag, RawType, Signal, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -60,15 +59,10 @@ class Augmenter:
     def samples(self, chunk: SampleChunk) -> SampleChunk:
         """The chunk, one sample or more, with the host's estimates as further channels."""
         config = self._config(chunk.config)
-        n, width = len(chunk), chunk.raw.dtype.itemsize
-        raw = np.empty(n, config.dtype)
-        # Records as bytes: numpy copies field by field otherwise.
-        raw.view(np.uint8).reshape(n, -1)[:, :width] = np.ascontiguousarray(chunk.raw).view(np.uint8).reshape(n, width)
         found = self.estimators.samples(chunk)
         columns = [column for entry in self.estimators.entries for column in found[entry.name]]
-        for channel, column in zip(self.channels, columns, strict=True):
-            raw[channel.name] = raw_counts(channel, column)
-        return replace(chunk, config=config, raw=raw)
+        raw = (raw_counts(channel, column) for channel, column in zip(self.channels, columns, strict=True))
+        return with_columns(chunk, config, raw)
 
     def _config(self, config: StreamConfig) -> StreamConfig:
         if config not in self._configs:

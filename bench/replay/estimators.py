@@ -28,11 +28,11 @@ from protocol.text import did_you_mean
 from sim.native import layout
 from sim.observers import hall_speed, sample
 from sim.observers.catalogue import BROKEN, CATALOGUE
-from sim.observers.entry import Entry, chosen, missing
+from sim.observers.entry import CURRENT, VOLTAGE, Entry, chosen, missing
 
-INPUTS = ("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q")
-OPTIONAL_INPUTS = ("status", "i_q_ref", "i_q")
-"""Inputs that `Estimators` can do without: no resets are known then, and the drive's current error is taken as 0."""
+INPUTS = ("hall", "status", *VOLTAGE, *CURRENT, "i_q_ref", "i_q")
+"""All channels that `Estimators` look at. Without status no resets are known, without i_q_ref and i_q the drive's
+current error is taken as 0; what an observer needs of the others, its entry says."""
 CHECKED = {channel: (entry.name, field) for entry in CATALOGUE.values() for channel, field in entry.channels.items()}
 """The channels that carry an observer's results: its name, and the field of its estimates."""
 WORTH_THREADS = 8000  # samples from which on it pays to run observers side by side
@@ -61,7 +61,7 @@ class HostObservers:
     def __init__(self, parameters: Mapping[str, float], stream: StreamConfig) -> None:
         self.checked = {c.name: CHECKED[c.name] for c in stream.channels if c.name in CHECKED}
         names = dict.fromkeys(observer for observer, _ in self.checked.values())
-        self._kernels = _Kernels([CATALOGUE[name] for name in names], parameters, stream)
+        self._kernels = _Kernels([CATALOGUE[name] for name in names], parameters, stream, (*VOLTAGE, *CURRENT))
         self._synchronised = False
 
     def edges(self, chunk: EdgeChunk) -> None:
@@ -100,16 +100,23 @@ class _Kernels:
 
     Chunks go in: edges wait here for the samples that cover them.
 
+    `fed`: the voltages and currents that they are given; a chunk must have them.
     `seconds` is the processor's time that each observer took for `steps` samples, `front_seconds` what the front end
     took, which is all that the average-speed approach needs.
     """
 
-    def __init__(self, entries: Sequence[Entry], parameters: Mapping[str, float], stream: StreamConfig) -> None:
+    def __init__(
+        self, entries: Sequence[Entry], parameters: Mapping[str, float], stream: StreamConfig, fed: Sequence[str]
+    ) -> None:
         _require("the Hall front end", missing(sample.Settings, parameters))
+        tables = {entry.name: known(entry, parameters, fed) for entry in entries}
         for entry in entries:
-            _require(entry.name, entry.missing(parameters))
+            _require(entry.name, entry.missing(tables[entry.name]))
+        self._fed = fed
         self._front = sample.FrontEnd(sample.make_params(stream.tick_hz, chosen(sample.Settings, parameters)))
-        self._observers = {entry.name: entry.start(entry.make_params(stream.pwm_hz, parameters)) for entry in entries}
+        self._observers = {
+            entry.name: entry.start(entry.make_params(stream.rate, tables[entry.name])) for entry in entries
+        }
         self._current_error = CurrentError(parameters, stream.pwm_hz)
         self._edges: Records = np.empty(0, EDGE)
         self.seconds = dict.fromkeys(self._observers, 0.0)
@@ -129,11 +136,12 @@ class _Kernels:
 
     def run(self, chunk: SampleChunk, reset: Flags) -> dict[str, Records]:
         """The observers' estimates at the samples of `chunk` by name; `reset` (n,): where they are initialised."""
-        measured = np.empty(len(chunk), MEASURED)
+        measured = np.zeros(len(chunk), MEASURED)
         measured["tick"], measured["hall"] = chunk.tick, chunk.raw["hall"]
-        for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"):
+        for name in self._fed:
             measured[name] = chunk.physical(name)
-        measured["i_q_err"] = self._current_error.of(chunk, reset)
+        if VOLTAGE[0] in self._fed:
+            measured["i_q_err"] = self._current_error.of(chunk, reset)
         used = int(np.searchsorted(self._edges["tick"], chunk.tick[-1], side="right"))
         due, self._edges = self._edges[:used], self._edges[used:]
         begun = time.thread_time()
@@ -183,7 +191,9 @@ class Estimators:
     ) -> None:
         self._follow = follow
         self.entries = tuple({entry.name: entry for entry in map(entry_of, names)}.values())
-        self.kernels = _Kernels(self.entries, parameters, stream)
+        for entry in self.entries:
+            _require_fit(entry, stream, entry.needs.required)
+        self.kernels = _Kernels(self.entries, parameters, stream, given(stream))
         self._next_index: int | None = None
         self._next_edge: int | None = None
         self._edges_lost = np.empty(0, np.int64)  # ticks of the edges that follow a loss
@@ -211,8 +221,8 @@ class Estimators:
         if self._next_index is None:
             self.restarts["start"] += 1
             reset[0] = True
-        lost = breaks(chunk.index, expected=self._next_index)
-        self._next_index = int(chunk.index[-1]) + 1
+        lost = breaks(chunk.index, chunk.config.index_step, self._next_index)
+        self._next_index = int(chunk.index[-1]) + chunk.config.index_step
         known = int(np.searchsorted(self._edges_lost, chunk.tick[-1], side="right"))
         after = np.searchsorted(chunk.tick, self._edges_lost[:known])
         self._edges_lost = self._edges_lost[known:]
@@ -231,12 +241,52 @@ def compared_inputs(channels: Collection[str], load_angle_comp: bool) -> tuple[s
     return INPUTS if compensated else tuple(name for name in INPUTS if name not in ("i_q_ref", "i_q"))
 
 
-def all_for(parameters: Mapping[str, float]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of all observers that a drive with these parameters has what it takes for, and of the others in words."""
-    front = missing(sample.Settings, parameters)
-    lacking = {name: dict.fromkeys((*front, *entry.missing(parameters))) for name, entry in CATALOGUE.items()}
-    left_out = (f"{name}: it needs {', '.join(needs)}" for name, needs in lacking.items() if needs)
-    return tuple(name for name, needs in lacking.items() if not needs), tuple(left_out)
+def all_for(
+    parameters: Mapping[str, float], stream: StreamConfig
+) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Names of all observers that a drive's parameters and its stream suffice for; the others in words, by what they
+    lack: of parameters, of channels.
+    """
+    front, fed = missing(sample.Settings, parameters), given(stream)
+    unfed = {name: why for name, entry in CATALOGUE.items() if (why := unfit(stream, entry.needs.required))}
+    lacking = {
+        name: dict.fromkeys((*front, *entry.missing(known(entry, parameters, fed))))
+        for name, entry in CATALOGUE.items()
+        if name not in unfed
+    }
+    return (
+        tuple(name for name, needs in lacking.items() if not needs),
+        tuple(f"{name}: it needs {', '.join(needs)}" for name, needs in lacking.items() if needs),
+        tuple(
+            f"{', '.join(name for name, of in unfed.items() if of == why)}: {why}"
+            for why in dict.fromkeys(unfed.values())
+        ),
+    )
+
+
+def given(stream: StreamConfig) -> tuple[str, ...]:
+    """The voltages and currents that observers are given of a stream: those of every PWM period. A voltage without the
+    currents tells nothing of the rotor.
+    """
+    there = {channel.name for channel in stream.channels}
+    if stream.decimation != 1 or not there.issuperset(CURRENT):
+        return ()
+    return (*VOLTAGE, *CURRENT) if there.issuperset(VOLTAGE) else CURRENT
+
+
+def known(entry: Entry, parameters: Mapping[str, float], fed: Sequence[str]) -> Mapping[str, float]:
+    """The drive's parameters for an observer, with those that matter only to what it is not `fed`."""
+    return parameters if set(entry.needs.helpful).issubset(fed) else {**entry.needs.without, **parameters}
+
+
+def done_without(names: Collection[str], stream: StreamConfig) -> tuple[str, ...]:
+    """Which of these observers, by name, run on a stream without what would help them, in words."""
+    lacking = {name: sorted({*CATALOGUE[name].needs.helpful}.difference(given(stream))) for name in names}
+    why = "not streamed" if stream.decimation == 1 else "not at every PWM period"
+    return tuple(
+        f"{', '.join(name for name, of in lacking.items() if of == what)}: without {', '.join(what)}, {why}"
+        for what in {tuple(what): what for what in lacking.values() if what}.values()
+    )
 
 
 def entry_of(name: str) -> Entry:
@@ -252,14 +302,14 @@ def entry_of(name: str) -> Entry:
     raise BenchError(f"no observer '{name}'{near}; available: {there}")
 
 
-def unfit(config: StreamConfig) -> str:
-    """Why observers cannot run on a stream, in words; empty if they can."""
+def unfit(config: StreamConfig, required: Sequence[str] = ()) -> str:
+    """Why observers that must have these channels beside `hall` cannot run on a stream, in words; empty if they can."""
     names = {channel.name for channel in config.channels}
-    if missing := [name for name in INPUTS if name not in names and name not in OPTIONAL_INPUTS]:
+    if missing := [name for name in ("hall", *required) if name not in names]:
         return f"it has no channel {', '.join(missing)}"
-    if config.decimation == 1:
+    if config.decimation == 1 or not required:
         return ""
-    return f"the stream is decimated by {config.decimation}; observers need every PWM period"
+    return f"the stream is decimated by {config.decimation}; observers on voltages need every PWM period"
 
 
 def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
@@ -272,6 +322,11 @@ def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
         info = np.iinfo(dtype)
         counts = np.clip(counts, info.min, info.max)
     return counts.astype(np.int64).astype(dtype)
+
+
+def _require_fit(entry: Entry, stream: StreamConfig, channels: Sequence[str]) -> None:
+    if why := unfit(stream, channels):
+        raise BenchError(f"{entry.name} cannot run on this stream: {why}")
 
 
 def _require(what: str, names: Sequence[str]) -> None:

@@ -19,7 +19,7 @@ from bench.record.extended import Extension
 from bench.record.reader import Run
 from bench.record.recording import readable
 from bench.replay.augment import Augmenter
-from bench.replay.estimators import INPUTS, all_for, entry_of, unfit
+from bench.replay.estimators import INPUTS, all_for, done_without, entry_of, given, unfit
 from bench.signal.capture import Capture
 from bench.signal.chunks import streams_none
 from bench.view import markdown
@@ -38,6 +38,8 @@ BEGAN = {
 }
 """Why observers restarted, in words, by the keys of `Estimators.restarts`."""
 ENDS_EARLY = "the recording ends early: it was interrupted, or is still being written"
+OTHERS = 10.0
+"""Times the largest value in the simulated drive that a parameter may have where the recording's drive has none."""
 ALIASES = {"k_p": "k_p_vt", "k_i": "k_i_vt"}
 
 
@@ -78,16 +80,17 @@ def replay(
         raise BenchError(f"{out} is the recording itself: choose another name")
     names = tuple(dict.fromkeys(entry_of(name).name for name in observers))
     run = readable(path)
-    if why := not_replayable(*run.drive_streams):
+    config, edge_stream = run.drive_streams
+    if why := not_replayable(config, edge_stream, names):
         raise BenchError(f"{path} cannot be replayed: {why}")
     values = checked_settings(settings or {}, names or tuple(CATALOGUE), run.info.parameters)
     parameters = {**run.info.parameters, **values}
     left_out: tuple[str, ...] = ()
     if not names:
-        names, left_out = all_for(parameters)
+        names, lacking, unfed = all_for(parameters, config)
+        left_out = (*lacking, *unfed)
         if not names:
-            raise BenchError(f"{path} cannot be replayed: {left_out[0]}, which the drive does not have; use --set")
-    config, _ = run.drive_streams
+            raise BenchError(f"{path} cannot be replayed: {lacking[0]}, which the drive does not have; use --set")
     augmenter = Augmenter(names, parameters, config)
     taken = {channel.name for channel in config.channels}
     if double := [channel.name for channel in augmenter.channels if channel.name in taken]:
@@ -114,11 +117,11 @@ def replay(
         return Replayed(
             path=out,
             observers=names,
-            seconds=counted.samples / run.info.pwm_hz,
+            seconds=counted.samples / config.rate,
             **asdict(counted),
             restarts=augmenter.estimators.restarts,
             left_out=left_out,
-            unknown=_unknown(run),
+            unknown=(*done_without(names, config), *_unknown(run)),
         )
 
     extension = Extension(run, out, info, overwrite, INPUTS)
@@ -146,7 +149,7 @@ class _Counted:
 def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, float]) -> Capture:
     """See `bench.estimate`."""
     name = entry_of(observer).name
-    if why := not_replayable(capture.samples.config, capture.edges.config):
+    if why := not_replayable(capture.samples.config, capture.edges.config, [name]):
         raise BenchError(f"{name} cannot be run on this capture: {why}")
     parameters = {**capture.parameters, **checked_settings(settings, [name], capture.parameters)}
     augmenter = Augmenter([name], parameters, capture.samples.config)
@@ -156,9 +159,13 @@ def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, flo
     return replace(capture, samples=augmenter.samples(capture.samples))
 
 
-def not_replayable(samples: StreamConfig, edges: StreamConfig | None) -> str:
-    """Why observers cannot be run on what these streams hold, in words; empty if they can."""
-    return unfit(samples) or ("it has no Hall edges" if edges is None or streams_none(edges) else "")
+def not_replayable(samples: StreamConfig, edges: StreamConfig | None, names: Sequence[str] = ()) -> str:
+    """Why these observers, or any, cannot be run on what these streams hold, in words; empty if they can."""
+    whys = {name: unfit(samples, CATALOGUE[name].needs.required) for name in names} or {"": unfit(samples)}
+    for name, why in whys.items():
+        if why:
+            return f"{name}: {why}" if len(names) > 1 else why
+    return "it has no Hall edges" if edges is None or streams_none(edges) else ""
 
 
 def checked_settings(
@@ -168,20 +175,21 @@ def checked_settings(
     used = set(names_of(sample.Settings)).union(*(entry_of(name).parameters for name in observers))
     known = {parameter.name: parameter for parameter in DRIVE_PARAMETERS}
     checked: dict[str, float] = {}
-    for given, value in settings.items():
-        name = ALIASES.get(given, given)
+    for named, value in settings.items():
+        name = ALIASES.get(named, named)
         if name not in used:
             exists = name in known or name in recorded
             why = f"changes nothing in {', '.join(observers)}" if exists else "is no parameter"
-            raise BenchError(f"{given}: it {why}; available: {', '.join(sorted(used))}")
+            raise BenchError(f"{named}: it {why}; available: {', '.join(sorted(used))}")
         if name in known:
             limits = known[name]
-            if not limits.lo <= value <= limits.hi:
-                raise BenchError(f"{given}: must be {limits.lo:g}..{limits.hi:g}, got {value:g}")
+            hi = limits.hi * (1.0 if name in recorded else OTHERS)
+            if not limits.lo <= value <= hi:
+                raise BenchError(f"{named}: must be {limits.lo:g}..{hi:g}, got {value:g}")
             if limits.flags & Flag.WHOLE and value != int(value):
-                raise BenchError(f"{given}: must be a whole number, got {value:g}")
+                raise BenchError(f"{named}: must be a whole number, got {value:g}")
         if name in checked:
-            raise BenchError(f"{given}: {name} is already set: use only one of its two names")
+            raise BenchError(f"{named}: {name} is already set: use only one of its two names")
         checked[name] = value
     return checked
 
@@ -221,6 +229,6 @@ def _unknown(run: Run) -> tuple[str, ...]:
     notes.append("parameters changed during the run: the initial values are used")
     if "status" in missing:
         notes.append("where the drive initialised its observers: no channel status")
-    if "i_q" in missing or "i_q_ref" in missing:
+    if ("i_q" in missing or "i_q_ref" in missing) and given(run.drive_streams[0]):
         notes.append("the current loop's error, taken as 0: no channels i_q, i_q_ref")
     return tuple(notes)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +22,9 @@ from bench.files import leaves
 from bench.record.recording import Source
 from bench.replay.estimators import entry_of
 from bench.score import phases
+from bench.score.reference import ACTUAL, AUTO, ENCODER
 from bench.score.tally import Tally
-from bench.score.tracks import DRIVE, HOST, REPLAYED, Track, load
+from bench.score.tracks import DRIVE, HOST, REPLAYED, Asked, Track, load
 from bench.signal.capture import Capture
 from protocol import __version__
 from protocol.frames import data_frame
@@ -47,6 +48,21 @@ class Scoreboard:
     tracks: tuple[Track, ...]
     pooled: dict[str, Figures]
     by_file: dict[str, dict[str, Figures]]
+
+    @property
+    def reference(self) -> str:
+        """What all estimates are compared with: encoder, edges, or the name of an observer or a recorded estimate."""
+        return self.tracks[0].reference.kind
+
+    @property
+    def noun(self) -> str:
+        """What the figures are of: without an actual angle a difference is no error."""
+        return self.tracks[0].reference.noun
+
+    @property
+    def taken_from(self) -> str:
+        """What an estimate is taken from, in words."""
+        return ACTUAL.get(self.reference, self.reference)
 
     @property
     def notes(self) -> list[str]:
@@ -80,7 +96,10 @@ class Scoreboard:
             "hallbench": __version__,
             "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
             "definitions": {
-                "error": "actual less estimated",
+                "reference": self.reference,
+                "error": "actual less estimated"
+                if self.reference == ENCODER
+                else f"{self.noun}: {self.taken_from} less estimated",
                 "units": {"angle": "electrical deg", "speed": "r/min", "lag": "us", "step": "ns on this machine"},
                 "rank": "moving.rms",
                 "moving_rpm": phases.MOVING_RPM,
@@ -91,27 +110,44 @@ class Scoreboard:
             "observers": self.pooled,
             "files": [
                 {name: getattr(track, name) for name in OF_TRACK}
-                | {"rate_hz": track.rate, "front_end_ns": track.front_ns, "observers": self.by_file[track.path]}
+                | {"reference": _reference(track), "rate_hz": track.rate, "front_end_ns": track.front_ns}
+                | {"observers": self.by_file[track.path]}
                 for track in self.tracks
             ],
         }
 
 
+def _reference(track: Track) -> dict[str, Any]:
+    sd = {"sd_rms_deg": track.sd.rms, "sd_max_deg": track.sd.peak} if track.sd.n else {}
+    return {"kind": track.reference.kind, "unknown_samples": track.unknown, **(track.reference.stated or {}), **sd}
+
+
 def score(
-    sources: Sequence[Source], observers: Sequence[str] = (), begin: float | None = None, end: float | None = None
+    sources: Sequence[Source],
+    observers: Sequence[str] = (),
+    begin: float | None = None,
+    end: float | None = None,
+    *,
+    reference: str = AUTO,
+    settings: Mapping[str, float] | None = None,
 ) -> Scoreboard:
     """Score recordings or captures: all estimates in them and all observers, or those named.
 
     `begin`, `end`: of recordings, device time in s; None: from the beginning, to the end. Names are the catalogue's,
-    long or short, and those of recorded estimates, as drive_vt. Raises BenchError for what cannot be read or scored,
-    and for a name that is nowhere.
+    long or short, and those of recorded estimates, as drive_vt; `reference` is one of these too, or encoder, edges,
+    auto. `settings`: drive parameters for the observers. Raises BenchError for what cannot be read or scored, and for a
+    name that is nowhere.
     """
     if not sources:
         raise BenchError("nothing to score: pass a recording or a capture")
     recorded = [name.replace("-", "_") for name in observers if _is_recorded(name)]
     again = [_observer(name) for name in observers if not _is_recorded(name)]
     apart = list({id(source) if isinstance(source, Capture) else source: source for source in sources}.values())
-    tracks = tuple(load(source, again if observers else None, begin, end) for source in apart)
+    asked = Asked(again if observers else None, begin, end, reference, settings or {})
+    tracks = tuple(load(source, asked) for source in apart)
+    if len(kinds := {track.reference.kind: track.path for track in tracks}) > 1:
+        each = ", ".join(f"{path} by {kind}" for kind, path in kinds.items())
+        raise BenchError(f"nothing to pool: {each}: score them apart, or give one --reference")
     if len({track.path for track in tracks}) < len(tracks):  # captures
         tracks = tuple(replace(track, path=f"{track.path} {k}") for k, track in enumerate(tracks, 1))
     names = list(dict.fromkeys(name for track in tracks for name in track.kinds))

@@ -38,7 +38,7 @@ class _Growing:
 
 @dataclass(frozen=True)
 class Stretch:
-    """n samples without a gap."""
+    """n samples without a gap, of which the angle is known."""
 
     first: int
     """Its first sample, counted from the recording's."""
@@ -62,13 +62,18 @@ class Course:
     fastest: dict[str, float]
     """The largest magnitude of each of the speeds that were asked for, rad/s."""
 
+    @property
+    def unknown(self) -> int:
+        """Samples of which no angle is known."""
+        return self.samples - sum(stretch.n for stretch in self.stretches)
+
     def usable(self, samples: SampleChunk) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which of some samples count, (n,)."""
         return running(samples) if self.ran else np.ones(len(samples), bool)
 
 
 def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], pole_pairs: int) -> Course:
-    """Go through captures that follow each other. `reference`: the encoder's angle; `speeds`: channels."""
+    """Go through captures that follow each other. `reference`: the actual angle, NaN for none; `speeds`: channels."""
     found: list[_Growing] = []
     fastest = dict.fromkeys(speeds, 0.0)
     samples = lost = 0
@@ -84,7 +89,7 @@ def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], p
         if states(own) is not None:
             ran = bool(ran) or bool(now[window.own].any())
         theta = whole.physical(reference)
-        for rows, part in window.stretches():
+        for rows, part in window.stretches(np.isfinite(theta)):
             if part.start == rows.start:
                 found.append(_Growing(samples + part.start - window.own.start, float(window.capture.t[part.start])))
             growing = found[-1]

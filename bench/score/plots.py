@@ -49,13 +49,16 @@ def draw_error_over_time(track: Track, name: str) -> Figure:
         points = slice(first, first + -(-stretch.n // track.every))
         first = points.stop
         t = stretch.t - begin + np.arange(points.stop - points.start) * track.every / track.rate
-        for envelope, hue, words in ((over_time.speed, own, name), (track.encoder, colour("omega_enc"), "encoder")):
+        for envelope, hue, words in (
+            (over_time.speed, own, name),
+            (track.actual, colour("omega_enc"), track.reference.kind),
+        ):
             label = "" if k else words
             speed.plot(*_line(t, envelope, points), color=hue, linewidth=LINE_WIDTH, label=label)
         error.plot(*_line(t, over_time.error, points), color=own, linewidth=0.6)
     _limit(error, track, name, begin)
     axis_labels(speed, "", "speed", unit_y="r/min")
-    axis_labels(error, "t", "error", "s", "el. °")
+    axis_labels(error, "t", track.reference.noun, "s", "el. °")
     figure.align_ylabels([speed, error])
     legend_above(speed)
     return figure
@@ -70,7 +73,7 @@ def _limit(ax: Axes, track: Track, name: str, begin: float) -> None:
     if over_time.peak > limit:
         words = f"peak {over_time.peak:.1f}° at {over_time.peak_t - begin:.2f} s"
         ax.text(1.0, 1.0, words, transform=ax.transAxes, ha="right", va="bottom", fontsize=FONT_SIZE)
-    degrees_axis(ax, "error", limit)
+    degrees_axis(ax, track.reference.noun, limit)
 
 
 def draw_error_by_angle(tracks: Sequence[Track], name: str) -> Figure:
@@ -89,19 +92,19 @@ def draw_error_by_angle(tracks: Sequence[Track], name: str) -> Figure:
         for extreme, words in ((whole.lo.min(axis=0), ""), (whole.hi.max(axis=0), "extremes")):
             ax.plot(ANGLES, np.where(np.isfinite(extreme), extreme, np.nan), color=GREY, linewidth=0.6, label=words)
     turn_axis(ax)
-    axis_labels(ax, "electrical angle", "error", "°", "el. °")
+    axis_labels(ax, "electrical angle", tracks[0].reference.noun, "°", "el. °")
     legend_above(ax)
     return figure
 
 
-def draw_error_by_speed(observers: Mapping[str, Figures]) -> Figure:
+def draw_error_by_speed(observers: Mapping[str, Figures], noun: str = "error") -> Figure:
     """Standard deviation and largest position error in steady running by bin of speed, a line for each observer.
 
     Of a single bin they are bars.
     """
     bins = sorted({bin for figures in observers.values() for bin in figures["by_speed"]}, key=_lowest)
     if len(bins) == 1:
-        return _error_at_one_speed({name: f["by_speed"].get(bins[0]) for name, f in observers.items()}, bins[0])
+        return _error_at_one_speed({name: f["by_speed"].get(bins[0]) for name, f in observers.items()}, bins[0], noun)
     figure, axes = new_figure(2, height=4.6)
     found = looks(observers)
     for name, figures in observers.items():
@@ -110,22 +113,22 @@ def draw_error_by_speed(observers: Mapping[str, Figures]) -> Figure:
         for ax, key in zip(axes, ("std", "max"), strict=True):
             values = [figures["by_speed"][bins[i]][key] for i in at]
             ax.plot(at, values, look.dash, marker=look.mark, markersize=4, lw=0.8, label=name, color=look.paper)
-    for ax, words in zip(axes, ("error, std", "error, max"), strict=True):
+    for ax, words in zip(axes, (f"{noun}, std", f"{noun}, max"), strict=True):
         degrees_axis(ax, words)
         ax.set_ylim(bottom=0)
     axes[-1].set_xticks(range(len(bins)), [speeds(bin) for bin in bins], rotation=30, ha="right")
-    axis_labels(axes[-1], "speed", "error, max", "r/min", "el. °")
+    axis_labels(axes[-1], "speed", f"{noun}, max", "r/min", "el. °")
     legend_above(axes[0])
     return figure
 
 
-def _error_at_one_speed(observers: Mapping[str, Figures | None], bin: str) -> Figure:
+def _error_at_one_speed(observers: Mapping[str, Figures | None], bin: str, noun: str) -> Figure:
     known = [(name, figures) for name, figures in observers.items() if figures is not None]
     figure, axes = new_figure(1, 2, height=0.8 + 0.18 * len(known), share_x=False)
     for ax, key in zip(axes, ("std", "max"), strict=True):
         ax.barh([name for name, _ in known], [figures[key] for _, figures in known], color=SERIES[0], height=0.7)
         ax.invert_yaxis()
-        axis_labels(ax, f"error, {key}, at {speeds(bin)} r/min", "", "el. °")
+        axis_labels(ax, f"{noun}, {key}, at {speeds(bin)} r/min", "", "el. °")
     axes[1].tick_params(labelleft=False)
     return figure
 

@@ -13,7 +13,7 @@ from bench.report.style import save
 from bench.report.words import date, number
 from bench.score.board import PHASES, Figures, Scoreboard, partly
 from bench.score.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time, speeds
-from bench.score.table import HEADERS, LEGEND, row
+from bench.score.table import HEADERS, legend, row
 from bench.score.tracks import Track
 from protocol.text import printable
 
@@ -63,14 +63,14 @@ def as_html(board: Scoreboard) -> str:
             board=board,
             headers=HEADERS,
             columns=COLUMNS,
-            legend=" ".join(LEGEND),
+            legend=" ".join(legend(board)),
             rows=[_row(name, figures) for name, figures in board.pooled.items()],
             partly={name: partly(figures, board.tracks) for name, figures in board.pooled.items()},
             files=[
                 (track.path, _provenance(track), [_row(name, f) for name, f in board.by_file[track.path].items()])
                 for track in board.tracks
             ],
-            by_speed=_embedded(draw_error_by_speed(board.pooled), picture),
+            by_speed=_embedded(draw_error_by_speed(board.pooled, board.noun), picture),
             observers=observers,
         )
 
@@ -89,7 +89,7 @@ def _provenance(track: Track) -> str:
     return (
         f"{about}{date(track.started)}{by}; "
         f"{track.samples} samples, {track.samples / track.rate:.1f} s at {track.rate:g} Hz; "
-        f"{track.lost} lost, {track.dropped} not scored, observers restarted {began} times"
+        f"{track.lost} lost, {track.dropped + track.unknown} not scored, observers restarted {began} times"
     )
 
 

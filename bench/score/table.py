@@ -10,11 +10,16 @@ from bench.report.words import number
 from bench.score.board import Figures, Scoreboard, flat
 
 HEADERS = ("observer", "rms", "std", "max", "p99", "bias", "trans", "start", "rev", "speed", "lag", "ns")
-LEGEND = (
-    "Position error (encoder minus estimate), electrical degrees: rms over all motion (the rank);",
-    "std, max, p99 and bias in steady running; maximum in transients, at start-up, at reversal.",
-    "speed: std of the speed error, r/min. lag: of the angle, µs. ns: time per step on this machine.",
-)
+
+
+def legend(board: Scoreboard) -> tuple[str, ...]:
+    """What the columns are."""
+    return (
+        f"Position {board.noun} ({board.taken_from} minus estimate), electrical degrees:"
+        " rms over all motion (the rank);",
+        "std, max, p99 and bias in steady running; maximum in transients, at start-up, at reversal.",
+        f"speed: std of the speed {board.noun}, r/min. lag: of the angle, µs. ns: time per step on this machine.",
+    )
 
 
 def row(name: str, figures: Figures) -> list[str]:
@@ -53,7 +58,7 @@ def as_text(board: Scoreboard) -> list[str]:
             found += ["", path, *lines(observers)]
         found = [f"{len(board.by_file)} recordings pooled", *found]
     notes = [f"note: {note}" for note in board.notes]
-    return [*found, "", *notes, *LEGEND]
+    return [*found, "", *notes, *legend(board)]
 
 
 def as_csv(board: Scoreboard) -> str:

@@ -1,4 +1,4 @@
-"""A recording as the scoreboard sees it: every estimate against the encoder's angle, by what the shaft does.
+"""A recording as the scoreboard sees it: every estimate against the reference, by what the shaft does.
 
 The estimates are the drive's own channels, those that a replay has added, and those of observers that are run here. A
 recording is gone through twice, piece by piece: `bench.score.course` first, then the estimates. Nothing keeps its
@@ -8,7 +8,7 @@ samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -22,27 +22,26 @@ from bench.record.info import HOST_SUFFIX
 from bench.record.reader import Run, captures
 from bench.record.recording import Source, readable
 from bench.record.times import ticks_between
-from bench.replay.estimators import INPUTS, Estimate, Estimators, all_for
-from bench.replay.replay import ENDS_EARLY, not_replayable
+from bench.replay.estimators import INPUTS, Estimate, Estimators, all_for, done_without
+from bench.replay.replay import ENDS_EARLY, checked_settings, not_replayable
 from bench.score.course import Course, Stretch, survey
 from bench.score.phases import CONTEXT, phases_with, speed_of
+from bench.score.reference import AUTO, EDGES, ENCODER, NOT_SEEN, Pieces, Reference, reference_of
 from bench.score.tally import Block, Envelope, OverTime, Tally, error_of
-from bench.signal.capture import Capture
-from bench.signal.channels import reference_angle
 from bench.signal.delays import delays_of
+from bench.signal.position import Moments
 from bench.signal.trace import STATOR, Trace
 from bench.signal.units import pole_pairs
 from bench.signal.waveforms import hall_offset
 from bench.signal.windows import Window, windows
 from protocol.signals import Flag, Unit
 from protocol.streams import SampleChunk, StreamConfig
+from sim.observers.catalogue import CATALOGUE
 
 F64 = NDArray[np.float64]
 POINTS = 6000  # of a plot over time, about
 LEAST = 0.1  # s, shorter stretches between two losses are left out
 DRIVE, REPLAYED, HOST = "drive", "replayed", "host"
-Pieces = Callable[..., Iterable[Capture]]
-"""Gives captures that follow each other, with the `channels` that are asked for, as often as it is called."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +52,11 @@ class Track:
     rate: float
     """Samples a second."""
     pole_pairs: int
+    reference: Reference
+    sd: Moments
+    """Of the reference's standard deviation over what is scored, electrical degrees; empty where none is stated."""
+    unknown: int
+    """Samples at which the reference tells no angle."""
     stretches: tuple[Stretch, ...]
     """Those that are scored: without a gap."""
     kinds: dict[str, str]
@@ -65,8 +69,8 @@ class Track:
     lost: int
     every: int
     """Samples to a point of a plot over time; a stretch begins with a new point."""
-    encoder: Envelope
-    """Speed by the encoder over time, r/min."""
+    actual: Envelope
+    """Speed by the reference over time, r/min."""
     over_time: dict[str, OverTime]
     started: str = ""
     """Date and time of the recording, as it tells them."""
@@ -93,64 +97,108 @@ class Track:
         return sum(len(stretch.turns.reversals) for stretch in self.stretches)
 
 
-def load(source: Source, names: Sequence[str] | None, begin: float | None = None, end: float | None = None) -> Track:
-    """Take a recording or a capture and run the observers `names` on it; None: all that its parameters suffice for.
+@dataclass(frozen=True)
+class Asked:
+    """How recordings are to be scored. `names`: observers to run, None: all that parameters and channels suffice for;
+    `begin`, `end`: device time in s.
+    """
 
-    `begin`, `end`: device time in s. Raises BenchError where it has no encoder, no samples, or a clock
-    that goes back.
+    names: Sequence[str] | None = None
+    begin: float | None = None
+    end: float | None = None
+    reference: str = AUTO
+    settings: Mapping[str, float] = field(default_factory=dict)
+    """Drive parameters for the observers, by name."""
+
+
+def load(source: Source, asked: Asked) -> Track:
+    """Take a recording or a capture and run observers on it.
+
+    Raises BenchError where it has no reference, no samples, or a clock that goes back.
     """
     run = readable(source)
-    return _track(run, partial(captures, run, *ticks_between(run, begin, end)), names)
-
-
-def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
-    (config, edges), parameters, path = run.drive_streams, run.info.parameters, str(run.path)
-    reference = reference_angle(config.channels)
-    if not reference:
-        raise BenchError(f"{path} cannot be scored: no reference angle: it needs an encoder; record theta_enc")
+    parameters = run.info.parameters
+    parameters = {**parameters, **checked_settings(asked.settings, asked.names or tuple(CATALOGUE), parameters)}
+    (config, _), recorded = run.drive_streams, _recorded(run.drive_streams[0])
+    pieces: Pieces = partial(captures, run, *ticks_between(run, asked.begin, asked.end))
+    channels = {name: angle for name, (_, angle, _) in recorded.items()}
+    reference, pieces = reference_of(asked.reference, run, pieces, parameters, channels)
     n_p = pole_pairs(parameters)
-    there = [channel.name for channel in config.channels]
-    status = [name for name in ("status",) if name in there]
+    status = [channel.name for channel in config.channels if channel.name == "status"]
     speeds = _speeds(config)
-    course = survey(pieces(channels={reference, *speeds, *status}), reference, speeds, n_p or 1)
-    _require_unambiguous(course, path, config.rate, (n_p or 1) * parameters.get("omega_m_max", 0.0))
-    notes: list[str] = []
-    recorded = _recorded(config)
-    kinds = {name: kind for name, (kind, _, _) in recorded.items()}
+    course = survey(pieces(channels={reference.channel, *speeds, *status}), reference.channel, speeds, n_p or 1)
+    fastest = reference.fastest or (n_p or 1) * parameters.get("omega_m_max", 0.0)
+    _require_unambiguous(course, str(run.path), config.rate, fastest)
+    return _track(run, parameters, reference, pieces, course, asked.names)
+
+
+def _chosen(
+    run: Run, parameters: Mapping[str, float], reference: Reference, names: Sequence[str] | None
+) -> tuple[dict[str, str], Estimators | None, list[str]]:
+    """The estimates that are scored and who makes each, the observers that are run, and notes. BenchError for none."""
+    (config, edges), notes = run.drive_streams, list[str]()
+    kinds = {name: kind for name, (kind, _, _) in _recorded(config).items() if name != reference.kind}
+    lacking: tuple[str, ...] = ()
     estimators = None
     if why := not_replayable(config, edges):
         notes.append(f"no observer can run on it: {why}")
     else:
         if names is None:
-            names, left_out = all_for(parameters)
-            notes += [f"not run: {words}" for words in left_out]
-        if names:
+            names, lacking, unfed = all_for(parameters, config)
+            notes += [f"not run: {words}" for words in (*lacking, *unfed)]
+        if names := [name for name in names if name != reference.kind]:
             estimators = Estimators(names, parameters, config)
             kinds |= dict.fromkeys((entry.name for entry in estimators.entries), HOST)
+            notes += done_without(names, config)
     if not kinds:
-        raise BenchError(f"{path} cannot be scored: {'; '.join(notes) or 'it has no estimate of the angle'}")
+        by_hand = "; give them with --set NAME=VALUE" if lacking else ""
+        raise BenchError(
+            f"{run.path} cannot be scored: {'; '.join(notes) or 'it has no estimate of the angle'}{by_hand}"
+        )
+    return kinds, estimators, notes
+
+
+def _track(
+    run: Run,
+    parameters: Mapping[str, float],
+    reference: Reference,
+    pieces: Pieces,
+    course: Course,
+    names: Sequence[str] | None,
+) -> Track:
+    config, _ = run.drive_streams
+    n_p, recorded = pole_pairs(parameters), _recorded(config)
+    kinds, estimators, notes = _chosen(run, parameters, reference, names)
     if course.ran is False:
         notes.append("the drive was never RUNNING: all samples count")
+    there = [channel.name for channel in config.channels]
     estimates = {name for _, angle, speed in recorded.values() for name in (angle, speed) if name}
-    wanted = {reference, *estimates, *status, *(name for name in (*INPUTS, *STATOR) if name in there)}
+    told = {name for name in (reference.channel, reference.sd_channel) if name}
+    wanted = {*told, *estimates, *(name for name in (*INPUTS, *STATOR) if name in there)}
     scored = _Scored(course, kinds, reference, config.rate, parameters)
     trace = Trace()
     for window in windows(pieces(channels=wanted), CONTEXT):
-        trace.add(window)
+        if reference.kind == ENCODER:
+            trace.add(window)
         found = _estimates(window.samples, recorded)
         if estimators is not None:
             estimators.edges(window.capture.edges)
             found |= estimators.samples(window.samples)
-        scored.add(window, found)
-    if words := blame(delays_of(trace))[1]:
+        scored.add(window, {name: found[name] for name in kinds})
+    if reference.kind == ENCODER and (words := blame(delays_of(trace))[1]):
         notes.append(f"angles differ in time: {words}")
+    if reference.kind == EDGES:
+        notes = [*_by_edges(reference, course, scored.sd, (n_p or 1) * parameters.get("omega_m_max", math.inf)), *notes]
     if n_p is None:
         notes.append("the number of pole pairs is unknown: r/min are electrical")
     kernels = None if estimators is None else estimators.kernels
     return Track(
-        path=path,
+        path=str(run.path),
         rate=config.rate,
         pole_pairs=n_p or 1,
+        reference=reference,
+        sd=scored.sd,
+        unknown=course.unknown,
         stretches=tuple(stretch for stretch in course.stretches if scored.takes(stretch)),
         kinds=kinds,
         tallies=scored.tallies,
@@ -159,7 +207,7 @@ def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
         dropped=sum(stretch.n for stretch in course.stretches if not scored.takes(stretch)),
         lost=course.lost,
         every=scored.every,
-        encoder=scored.encoder,
+        actual=scored.actual,
         over_time=scored.over_time,
         started=run.info.started,
         recorded_by=str(run.info.identity.get("hallbench", "")),
@@ -169,11 +217,24 @@ def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
     )
 
 
+def _by_edges(reference: Reference, course: Course, sd: Moments, allowed: float) -> list[str]:
+    """What to know of a reference by edges; `allowed`: electrical rad/s that observers are told not to expect more."""
+    beyond = f"omega_m_max is {allowed:.0f} electrical rad/s, and the edges show {reference.fastest:.0f}: --set more"
+    within = f"; it holds within {sd.rms:.2f} deg rms, {sd.peak:.2f} at most (standard deviation)" if sd.n else ""
+    share = course.unknown / max(course.samples, 1)
+    return [
+        f"reference: {reference.words}{within}",
+        f"not scored: {course.unknown} of {course.samples} samples ({share:.0%}): the edges do not come steadily there",
+        NOT_SEEN,
+        *([beyond] if reference.fastest > allowed else []),
+    ]
+
+
 class _Scored:
-    """The estimates of a recording against its encoder, window by window."""
+    """The estimates of a recording against its reference, window by window."""
 
     def __init__(
-        self, course: Course, kinds: Iterable[str], reference: str, rate: float, parameters: Mapping[str, float]
+        self, course: Course, kinds: Iterable[str], reference: Reference, rate: float, parameters: Mapping[str, float]
     ) -> None:
         self._course, self._reference, self._rate = course, reference, rate
         self._pole_pairs, self._hall_offset = pole_pairs(parameters) or 1, hall_offset(parameters)
@@ -184,7 +245,8 @@ class _Scored:
         self._first_points = np.cumsum([0, *points])
         self.tallies = {name: Tally() for name in kinds}
         self.over_time = {name: OverTime(sum(points)) for name in kinds}
-        self.encoder = Envelope(sum(points))
+        self.actual = Envelope(sum(points))
+        self.sd = Moments()
 
     def takes(self, stretch: Stretch) -> bool:
         """Whether it is long enough."""
@@ -192,15 +254,18 @@ class _Scored:
 
     def add(self, window: Window, estimates: Mapping[str, Estimate]) -> None:
         """Add a window, with the estimates of its own samples."""
-        theta = window.capture.samples.physical(self._reference)
+        theta = window.capture.samples.physical(self._reference.channel)
+        sd = np.degrees(window.capture.samples.physical(self._reference.sd_channel or self._reference.channel))
         usable = self._course.usable(window.capture.samples)
         begin = window.own.start
-        for rows, own in window.stretches():
+        for rows, own in window.stretches(np.isfinite(theta)):
             self._number += own.start == rows.start
             stretch = self._course.stretches[self._number]
             if self.takes(stretch):
                 block = self._block(stretch, theta[rows], usable[rows], rows, own, self._seen + own.start - begin)
-                self.encoder.add(block.points, block.omega[block.own] * block.rpm_by)
+                self.actual.add(block.points, block.omega[block.own] * block.rpm_by)
+                if self._reference.sd_channel:
+                    self.sd.add(sd[own])
                 for name, estimate in estimates.items():
                     part = Estimate(*(values[own.start - begin : own.stop - begin] for values in estimate))
                     degrees = error_of(block, part)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -73,6 +73,17 @@ def of_channels(chunk: Chunk, config: StreamConfig) -> Chunk:
     raw = np.empty(len(chunk), config.dtype)
     for channel in config.channels:
         raw[channel.name] = chunk.raw[channel.name]
+    return replace(chunk, config=config, raw=raw)
+
+
+def with_columns(chunk: SampleChunk, config: StreamConfig, columns: Iterable[NDArray[np.generic]]) -> SampleChunk:
+    """A chunk with further channels, the last ones of `config`, whose raw values (n,) are `columns`."""
+    n, width = len(chunk), chunk.raw.dtype.itemsize
+    raw = np.empty(n, config.dtype)
+    # Records as bytes: numpy copies field by field otherwise.
+    raw.view(np.uint8).reshape(n, -1)[:, :width] = np.ascontiguousarray(chunk.raw).view(np.uint8).reshape(n, width)
+    for channel, column in zip(config.channels[len(chunk.config.channels) :], columns, strict=True):
+        raw[channel.name] = column
     return replace(chunk, config=config, raw=raw)
 
 

@@ -267,6 +267,7 @@ def fitted_blind(inputs: Inputs, tick_hz: float, n_p: int | None, step: float) -
     use, off, omega = _against_revolution(at.tick / tick_hz, passed, at.up)
     at = _Passages(at.edge[use], at.up[use], at.input[use], at.falls[use], at.tick[use], at.angle[use], omega, off)
     at = _some(at)
+    off = at.off
     if len(at.edge) < 2 * SECTORS:
         return None
     pairs = _told_apart(n_p, at) if n_p else 1
@@ -340,11 +341,7 @@ def _against_revolution(t: Floats, passed: Ints, up: Ints) -> tuple[Ints, Floats
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
     j = np.arange(whole, n - whole)
     j = j[passed[j + whole] - passed[j - whole] == 2 * whole * up[j]]
-    share = np.array([0.5, *[1.0] * (whole - 1), 0.5]) / whole
-    ahead = np.arange(-half, half + 1)
-    even = sum(weight * t[j + k] for weight, k in zip(share, ahead, strict=True))
-    bend = (t[j + whole] - 2.0 * t[j] + t[j - whole]) / whole**2
-    even = even - 0.5 * float(share @ ahead**2) * bend
+    even, _ = even_times(t, j, whole)
     omega = up[j] * math.tau / (t[j + half] - t[j - half])
     steady = np.abs(t[j + whole] - 2.0 * t[j] + t[j - whole]) < 0.5 * CHANGE * (t[j + whole] - t[j - whole])
     size = np.abs(omega) / math.tau
@@ -352,6 +349,19 @@ def _against_revolution(t: Floats, passed: Ints, up: Ints) -> tuple[Ints, Floats
         fast = float(np.quantile(size[steady], 0.9))
         steady &= size > max(SLOWEST * fast, min(UNEVEN, 0.6 * fast))
     return j[steady], ((t[j] - even) * omega)[steady], omega[steady]
+
+
+def even_times(t: Floats, j: Ints, whole: int) -> tuple[Floats, Floats]:
+    """When the edges `j`, (k,), of an even ring were passed, s, of edges at `t` with `whole` in a turn; and the change
+    of the time from edge to edge from one to the next, s. Each must have a turn on either side.
+    """
+    half = whole // 2
+    ends = [0.5] if whole % 2 == 0 else []
+    share = np.array([*ends, *[1.0] * (2 * half + 1 - 2 * len(ends)), *ends]) / whole
+    ahead = np.arange(-half, half + 1)
+    bend = (t[j + whole] - 2.0 * t[j] + t[j - whole]) / whole**2
+    even = sum(weight * t[j + k] for weight, k in zip(share, ahead, strict=True)) - 0.5 * float(share @ ahead**2) * bend
+    return even, bend
 
 
 _OPENED = np.array([[OPENS.index((number, rises)) for rises in (False, True)] for number in range(3)])

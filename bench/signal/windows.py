@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.signal.capture import Capture, joined
 from bench.signal.chunks import contiguous, join, part
@@ -31,15 +32,20 @@ class Window:
         """Its own samples."""
         return part(self.capture.samples, self.own.start, self.own.stop)
 
-    def stretches(self) -> Iterator[tuple[slice, slice]]:
-        """The stretches without a gap that have samples of its own: all of their rows here, and its own of them.
+    def stretches(self, known: NDArray[np.bool_] | None = None) -> Iterator[tuple[slice, slice]]:
+        """The stretches without a gap, of samples that are all `known` (n,), that have samples of its own: all of their
+        rows here, and its own of them. None: all are known.
 
         One that goes on from the window before begins before its own rows.
         """
-        for rows in contiguous(self.capture.samples):
-            own = slice(max(rows.start, self.own.start), min(rows.stop, self.own.stop))
-            if own.start < own.stop:
-                yield rows, own
+        known = np.ones(len(self.capture), bool) if known is None else known
+        for whole in contiguous(self.capture.samples):
+            turned = np.diff(known[whole].astype(np.int8), prepend=0, append=0)
+            begins, ends = (whole.start + np.flatnonzero(turned == way) for way in (1, -1))
+            for rows in map(slice, begins.tolist(), ends.tolist()):
+                own = slice(max(rows.start, self.own.start), min(rows.stop, self.own.stop))
+                if own.start < own.stop:
+                    yield rows, own
 
 
 def windows(captures: Iterable[Capture], around: float, most: int = 0) -> Iterator[Window]:

@@ -16,6 +16,8 @@ number of samples over which the error stays the same.
 
 - The covariance P is updated every `UPDATE_EVERY` samples and at each edge. The gains follow from it. A gain serves
   that many samples, so it is the gain for their mean, P h / (UPDATE_EVERY h P h + r), which is below 1 / UPDATE_EVERY.
+- Without a voltage, with the outputs off or where none is known, edges alone correct the state: the acceleration
+  wanders faster, as a drive may turn the shaft that is not seen, and no edge is doubted because the back-EMF is quiet.
 - If the inertia is known, the acceleration follows the current and is uncertain by a part of that change; otherwise it
   wanders slowly. A load step shows in e_d and e_q before the next edge: the filter compares their filtered residues
   with the usual ones. Beyond `SURPRISE` times the expected variance it assumes that the acceleration has been different
@@ -93,6 +95,7 @@ B_RESTART = 0.69  # [v_drop] the least after a restart from an edge
 ALPHA_WALK_SLOW = 0.0029  # [alpha per sqrt(s)] random walk at low speed
 ALPHA_WALK_FAST = 0.061  # [alpha per sqrt(s)] at high speed, where e_d shows the angle anyway
 ALPHA_WALK_SPEED = 24.0  # [omega_v] half way between the two
+ALPHA_WALK_BLIND = 0.4  # [alpha per sqrt(s)] without a voltage: who turns the shaft is not known. On real captures
 FEED = 0.9  # share of the acceleration that i_q causes if the inertia is known
 TORQUE_WALK = 2.8  # variance of what a change of i_q may cause besides, by the square of its effect
 TORQUE_TAU = 0.0063  # s, filter of the i_q from which a change counts
@@ -496,6 +499,8 @@ def _updated(params: Params, kalman: Filter, watch: Watch, psi: float, driven: b
     f = 1.0 / (1.0 + rate * t)
     y = square(size / (ALPHA_WALK_SPEED * scale.omega_v))
     wander = square(scale.alpha * (ALPHA_WALK_SLOW + (ALPHA_WALK_FAST - ALPHA_WALK_SLOW) * y / (1.0 + y)))
+    if not driven:
+        wander = square(scale.alpha * ALPHA_WALK_BLIND)
     change = max(abs(watch.i_q - watch.i_slow) / scale.i - TORQUE_DEAD_BAND, 0.0) * scale.alpha
     wander += TORQUE_WALK * change * change / TORQUE_TAU
     i_slow = watch.i_slow + t / TORQUE_TAU * (watch.i_q - watch.i_slow)
@@ -526,6 +531,8 @@ def _updated(params: Params, kalman: Filter, watch: Watch, psi: float, driven: b
             P = _surprised(
                 P, (SURPRISE_ALPHA * scale.alpha) ** 2 * (t / 1e-3) * min(much / SURPRISE - 1.0, SURPRISE_MOST)
             )
+    else:
+        quiet = 0.0
     b = kalman.x[3]
     if abs(watch.i_q) < LOW_CURRENT * scale.i:
         b /= 1.0 + t / B_TAU
@@ -581,7 +588,7 @@ def _edge(
     sure = sharp and state.watch.quiet > QUIET
     all_off = (last.off | belief.sensors) & hall_levels.ALL == hall_levels.ALL
     lost = all_off and not (sure and abs(omega) > scale.omega_b)
-    by_codes = last.passed == 0 or lost or kalman.P[0] > CODES * CODES
+    by_codes = last.passed == 0 or lost or not driven or kalman.P[0] > CODES * CODES
     boundary, way = _boundary(lessons, sensor, before, state.levels.code, then, by_codes)
     slot = hall_places.slot(boundary, way)
     at = hall_places.angle(places, boundary, way) + lessons.common[4] * omega
@@ -793,11 +800,17 @@ def _bounded(
             P[14],
         )
         kalman = kalman._replace(x=(theta, omega, alpha, b, c), P=P)
-    most = width * width / 12.0  # variance of an angle that is anywhere in between
+    return _between(kalman, last.at + 0.5 * last.way * width, width)
+
+
+@kernel
+def _between(kalman: Filter, middle: float, width: float) -> Filter:
+    """The filter where the angle is anywhere in a sector, `width` rad about its `middle`: no less is known of it."""
+    most = width * width / 12.0  # variance
     if kalman.P[0] > most:
         g = _ago(kalman.P, 0.0)
         s = 1.0 / (g[0] + most * g[0] / (g[0] - most))
-        z = wrap(last.at + 0.5 * last.way * width - theta)
+        z = wrap(middle - kalman.x[0])
         kalman = kalman._replace(x=covariance.added(kalman.x, g, s * z), P=covariance.less(kalman.P, g, s))
     return kalman
 
@@ -915,6 +928,8 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
         kalman, last = _in_sector(scale, kalman, last, lessons, sector)
     if last.passed > 0:
         kalman = _bounded(scale, kalman, last, state.belief, lessons, state.levels.code, sharp)
+    elif not driven and sector >= 0:
+        kalman = _between(kalman, centre(sector, 0.0), SECTOR_WIDTH)
     kalman = _with_gains(scale, kalman, psi, watch.i_q)
     twice = edge_lessons.twice_of(lessons, scale, kalman.x[1])
     six = edge_lessons.six_of(lessons, scale, kalman.x[1])

@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache, cached_property
 from importlib import import_module
-from types import ModuleType
-from typing import Any, get_args, get_type_hints
+from types import MappingProxyType, ModuleType
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,29 @@ DEFAULTS: Mapping[str, float] = {
 
 
 LONGEST = 5  # letters of a short name: channels have names of 16, as theta_<short>_host
+VOLTAGE, CURRENT = ("u_alpha", "u_beta"), ("i_a", "i_b", "i_c")
+
+
+class Needs(NamedTuple):
+    """What an observer is given beside Hall codes and edges, as channels of a drive at every PWM period."""
+
+    required: tuple[str, ...] = ()
+    """It cannot do without."""
+    helpful: tuple[str, ...] = ()
+    """It can do without, at some cost: a `Sample` has 0 there, as with the outputs off."""
+    without: Mapping[str, float] = MappingProxyType({})
+    """Parameters that only say what `helpful` channels mean: what they are without these, unless a drive tells them."""
+
+    @property
+    def words(self) -> str:
+        """What it is given, for people; in brackets what it can do without."""
+        groups = {"voltages": VOLTAGE, "currents": CURRENT}
+        must = [name for name, of in groups.items() if set(of) <= set(self.required)]
+        may = [name for name, of in groups.items() if set(of) <= set(self.helpful)]
+        return ", ".join(["edges", *must]) + (f" ({', '.join(may)})" if may else "")
+
+
+EDGES_ALONE, WITH_VOLTAGE = Needs(), Needs(required=(*VOLTAGE, *CURRENT))
 
 
 @dataclass(frozen=True)
@@ -61,15 +84,18 @@ class Entry:
     """A dataclass: its fields are the drive parameters that it takes, by their names."""
     results: Mapping[str, str] = field(default_factory=dict)
     """Channels that carry other fields of its estimates, and which."""
+    needs: Needs = WITH_VOLTAGE
 
     @classmethod
-    def of(cls, module: ModuleType, short: str, source: str, name: str = "", **results: str) -> Entry:
+    def of(
+        cls, module: ModuleType, short: str, source: str, name: str = "", needs: Needs = WITH_VOLTAGE, **results: str
+    ) -> Entry:
         """The observer of a module. TypeError, naming what is missing, if it does not fit the interface."""
         own = name or module.__name__.rpartition(".")[2]
         wanted = ("init", "step", "make_params", "Settings")
         if lacking := [word for word in wanted if not hasattr(module, word)]:
             raise TypeError(f"it has no {', '.join(lacking)}")
-        made = cls(own, short, source, module.init, module.step, module.make_params, module.Settings, results)
+        made = cls(own, short, source, module.init, module.step, module.make_params, module.Settings, results, needs)
         if not 0 < len(short) <= LONGEST:
             raise TypeError(f"its short name must have 1 to {LONGEST} letters, got '{short}'")
         made.function  # noqa: B018 - checks

@@ -26,9 +26,9 @@ class Measured(NamedTuple):
 
     tick: int
     hall: int  # code, 0..7, as SPEC 12 has it
-    u_alpha: float  # V, in force over the period
+    u_alpha: float  # V, in force over the period; both 0 where none is, or none is known
     u_beta: float
-    i_a: float  # A, at the sample
+    i_a: float  # A, at the sample; all 0 where none is known
     i_b: float
     i_c: float
     i_q_err: float  # A, what the q integral of the current loop took in one period ago: below the limit i_q_ref - i_q

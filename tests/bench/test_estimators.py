@@ -117,15 +117,17 @@ def test_an_observer_that_lacks_a_parameter_names_it(drive_run: Path) -> None:
         Estimators(["vt"], {"n_p": 6.0, "omega_m_max": 300.0, "R_s_hat": 0.1}, Run(drive_run).samples.config)
 
 
-def test_observers_that_lack_a_parameter_are_left_out() -> None:
+def test_observers_that_lack_a_parameter_are_left_out(drive_run: Path) -> None:
     motor = {"n_p": 6.0, "omega_m_max": 300.0, "R_s_hat": 0.1, "psi_f_hat": 0.01}
-    names, left_out = all_for(motor)
+    whole = Run(drive_run).samples.config
+    names, left_out, unfed = all_for(motor, whole)
+    assert unfed == ()
     assert "average_speed" in names
     assert {"vector_tracking", "load_angle"}.isdisjoint(names)
     assert "load_angle: it needs L_s_hat" in left_out
     assert len(names) + len(left_out) == len(CATALOGUE)
-    assert all_for(motor | {"L_s_hat": 1e-4, "J_hat": 1e-4}) == (tuple(CATALOGUE), ())
-    names, left_out = all_for({})
+    assert all_for(motor | {"L_s_hat": 1e-4, "J_hat": 1e-4}, whole) == (tuple(CATALOGUE), (), ())
+    names, left_out, _ = all_for({}, whole)
     assert names == ()
     assert "average_speed: it needs n_p, omega_m_max" in left_out
 

@@ -226,7 +226,7 @@ def test_a_score_does_not_depend_on_the_pieces(in_groups: Path, monkeypatch: pyt
     assert [(s.first, s.n) for s in ours.stretches] == [(s.first, s.n) for s in theirs.stretches]
     assert (ours.lost, ours.samples, ours.restarts) == (theirs.lost, theirs.samples, theirs.restarts)
     assert ours.lost == 800
-    for mine, other in ((ours.encoder, theirs.encoder), (ours.over_time["drive_vt"].error,) * 2):
+    for mine, other in ((ours.actual, theirs.actual), (ours.over_time["drive_vt"].error,) * 2):
         assert np.allclose(mine.lo, other.lo, atol=1e-6)
         assert np.allclose(mine.hi, other.hi, atol=1e-6)
 

@@ -129,7 +129,7 @@ def test_a_recording_without_what_observers_need_is_refused(run: Run, tmp_path: 
     sink.take(replace(part(run.samples, 0, 100), config=config, raw=raw))
     sink.close()
     with pytest.raises(BenchError, match=r"few\.run cannot be replayed: it has no channel u_beta, i_b"):
-        replay(path)
+        replay(path, ["vt"])
 
 
 def test_the_command_writes_once(drive_run: Path, tmp_path: Path) -> None:

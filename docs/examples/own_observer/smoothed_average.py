@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from sim.numba_cache import kernel
-from sim.observers.entry import Entry
+from sim.observers.entry import EDGES_ALONE, Entry
 from sim.observers.sample import Sample
 from sim.observers.transforms import wrap
 
@@ -56,4 +56,4 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     return State(1, theta, omega), Estimate(theta, omega)
 
 
-OBSERVER = Entry.of(sys.modules[__name__], "sm", "our bench, 2026")
+OBSERVER = Entry.of(sys.modules[__name__], "sm", "our bench, 2026", needs=EDGES_ALONE)
