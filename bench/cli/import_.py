@@ -77,8 +77,8 @@ def command(file: Path, out: Path | None, json_file: Path | None, overwrite: boo
     """Import what another tool recorded: scope, logic analyser, drive, CAN log, MATLAB.
 
     CSV and other text, JSON lines, VCD, sigrok, Saleae, MDF 4, MAT, Parquet, npz, HDF5, TDMS, CAN logs with a DBC, and
-    moteus's Hall captures. Columns that no option names are guessed by name and unit, and the guess is shown. bench hall
-    check, score, plot, compare, view and export take the run.
+    moteus's Hall captures. Columns that no option names are guessed by name and unit, and the guess is shown. bench
+    hall check, score, plot, compare, view and export take the run.
 
     \b
     Examples:
