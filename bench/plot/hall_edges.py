@@ -1,6 +1,7 @@
 """Where the Hall edges lie by the encoder, and how far that is from where they belong, by direction.
 
-Measured as `bench hall` does (`bench.signal.hall_edges`).
+Without an encoder: where they lie against each other, their mean where it belongs. Measured as `bench hall` does
+(`bench.signal.hall_edges`).
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ from bench.signal.waveforms.sectors import NUMERALS
 
 def edges_of(run: Run, first: int, last: int) -> Measured | None:
     """What was measured of the ticks `first` to `last`; None without a single edge of a shaft that turns."""
-    wanted = ("hall", reference_angle(run.config(SAMPLES).channels))
+    wanted = [name for name in ("hall", reference_angle(run.config(SAMPLES).channels)) if name]
     measured = measure(trace_of(captures(run, first, last, wanted)))
-    return None if measured.blind or measured.fit is None else measured
+    with_encoder = len(wanted) > 1
+    return None if measured.fit is None or (measured.blind and with_encoder) else measured
 
 
 def as_json(of: Measured) -> dict[str, Any]:
@@ -50,14 +52,20 @@ def as_json(of: Measured) -> dict[str, Any]:
         }
         for edge in of.edges
     ]
-    return {"edges": edges, "delay_s": of.delay, "outliers": of.outliers}
+    return {"edges": edges, "delay_s": of.delay, "outliers": of.outliers, "against": _against(of)}
+
+
+def _against(of: Measured) -> str:
+    """What the places are told against."""
+    return "mean of the edges" if of.blind else "encoder"
 
 
 def words(of: Measured) -> str:
     """What the figure says, in a line."""
     late = (-math.degrees(edge.mean_delta) for edge in of.edges)
     ring = f"ring at {math.degrees(of.edges[0].offset):.1f}°, " if of.edges[0].offset else ""
-    return f"{ring}late by {', '.join('–' if math.isnan(each) else f'{each:+.2f}' for each in late)} el. ° (I … VI)"
+    told = ", ".join("–" if math.isnan(each) else f"{each:+.2f}" for each in late)
+    return f"{ring}late by {told} el. ° (I … VI){', against their mean: no encoder' if of.blind else ''}"
 
 
 def draw(of: Measured) -> Figure:
@@ -83,6 +91,7 @@ def draw(of: Measured) -> Figure:
                   handlelength=1.4, columnspacing=1.0)  # fmt: skip
     reach = max(1.15 * float(np.abs(np.concatenate(late_all)).max()), 0.5)
     chart.set_ylim(-reach, reach)
-    style.axis_labels(chart, "edge at the start of the sector (turning forward)", "measured − ideal", unit_y="el. °")
+    late_by = "from its place by the mean" if of.blind else "measured − ideal"
+    style.axis_labels(chart, "edge at the start of the sector (turning forward)", late_by, unit_y="el. °")
     chart.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False, fontsize=FONT_SIZE, borderaxespad=0.2)
     return figure

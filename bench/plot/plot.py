@@ -92,17 +92,16 @@ def _not_there(run: Run, names: list[str]) -> dict[str, str]:
         why["spectrum"] = f"no phase current and no i_d, i_q: {RECORD}"
     if not reference_angle(run.config(SAMPLES).channels):
         no_encoder = "no angle flagged REFERENCE: needs an encoder"
-        why |= dict.fromkeys(("error_by_angle", "error_by_speed", "hall_edges"), no_encoder)
+        why |= dict.fromkeys(("error_by_angle", "error_by_speed"), no_encoder)
     elif not any(name in names for name in run.info.position_estimates):
         no_estimate = f"no angle flagged ESTIMATE: {RECORD}, or bench replay"
         why |= dict.fromkeys(("error_by_angle", "error_by_speed"), no_estimate)
     if missing := [name for name in current_plane.CURRENTS if not run.info.has(name)]:
         why["current_plane"] = f"no {', '.join(missing)} in A: {RECORD}"
-    if not why["hall_edges"]:
-        if EDGES not in run.names:
-            why["hall_edges"] = "no Hall edges: the drive streams none, or the shaft was at rest"
-        elif "hall" not in names:
-            why["hall_edges"] = f"no channel hall: {RECORD}"
+    if EDGES not in run.names:
+        why["hall_edges"] = "no Hall edges: the drive streams none, or the shaft was at rest"
+    elif "hall" not in names:
+        why["hall_edges"] = f"no channel hall: {RECORD}"
     return why
 
 

@@ -61,6 +61,8 @@ class Course:
     """Whether the drive was RUNNING at any sample; None where it does not tell."""
     fastest: dict[str, float]
     """The largest magnitude of each of the speeds that were asked for, rad/s."""
+    top_speed: float
+    """The largest magnitude of the speed by the angle itself, electrical rad/s."""
 
     @property
     def unknown(self) -> int:
@@ -78,7 +80,7 @@ def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], p
     fastest = dict.fromkeys(speeds, 0.0)
     samples = lost = 0
     ran: bool | None = None
-    rate = 1.0
+    rate, top_speed = 1.0, 0.0
     for window in windows(captures, CONTEXT):
         whole, own = window.capture.samples, window.samples
         rate = window.capture.rate
@@ -93,9 +95,9 @@ def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], p
             if part.start == rows.start:
                 found.append(_Growing(samples + part.start - window.own.start, float(window.capture.t[part.start])))
             growing = found[-1]
-            direction = direction_of(speed_of(theta[rows], rate), pole_pairs)[part.start - rows.start :][
-                : part.stop - part.start
-            ]
+            speed, kept = speed_of(theta[rows], rate), slice(part.start - rows.start, part.stop - rows.start)
+            direction = direction_of(speed, pole_pairs)[kept]
+            top_speed = max(top_speed, float(np.abs(speed[kept]).max(initial=0.0)))
             for at in changes(direction).tolist():
                 if not growing.directions or growing.directions[-1] != direction[at]:
                     growing.begins.append(growing.n + at)
@@ -104,4 +106,4 @@ def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], p
             growing.n += len(direction)
         samples += len(own)
     stretches = tuple(Stretch(g.first, g.t, g.n, g.turns(ran, rate)) for g in found)
-    return Course(stretches, samples, lost, ran, fastest)
+    return Course(stretches, samples, lost, ran, fastest, top_speed)

@@ -18,6 +18,7 @@ from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
 from bench.signal.chunks import with_columns
 from bench.signal.edge_angle import ANGLE, CHANNELS, SD, ByEdges, by_edges
+from bench.signal.units import pole_pairs
 from protocol.streams import StreamConfig
 
 AUTO, ENCODER, EDGES = "auto", "encoder", "edges"
@@ -76,7 +77,8 @@ def reference_of(
             lacks = "no reference angle: it needs an encoder, or Hall codes and edges"
             raise BenchError(f"{path} cannot be scored: {lacks}; {why}")
         told = by_edges(lambda: pieces(channels={"hall"}), parameters, str(path))
-        found = Reference(EDGES, ANGLE, SD, told.fit.fastest, _words(told), _stated(told))
+        words = _words(told, pole_pairs(parameters) is not None)
+        found = Reference(EDGES, ANGLE, SD, told.fit.fastest, words, _stated(told))
         return found, _with_edges(pieces, told)
     if (name := asked.replace("-", "_")) in recorded:
         return Reference(name, recorded[name]), pieces
@@ -110,12 +112,14 @@ def _with_observer(pieces: Pieces, name: str, parameters: Mapping[str, float], c
     return added
 
 
-def _words(told: ByEdges) -> str:
+def _words(told: ByEdges, given: bool) -> str:
+    """What it is, for people; `given`: whether somebody has told the pole pairs."""
     late, error = (1e6 * value for value in told.late)
     kind = f"{told.kind} edges only" if told.kind else "all edges"
     why = f" (rising ones come {late:.0f} ± {error:.0f} us after falling ones)" if told.kind else ""
-    pairs = f"turns of the shaft, {told.n_p} pole pairs" if told.n_p else "electrical turns"
-    return f"its own edges, {kind}{why}, over whole {pairs}"
+    turns = f"{told.n_p} electrical turns, after which they repeat" if told.n_p else "whole electrical turns"
+    turns = f"whole turns of the shaft, {told.n_p} pole pairs" if told.n_p and given else turns
+    return f"its own edges, {kind}{why}, over {turns}"
 
 
 def _stated(told: ByEdges) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -41,6 +41,8 @@ from sim.observers.catalogue import CATALOGUE
 F64 = NDArray[np.float64]
 POINTS = 6000  # of a plot over time, about
 LEAST = 0.1  # s, shorter stretches between two losses are left out
+FASTER = 1.5
+"""Times the fastest speed of the shaft that observers are told to expect, where a recording does not tell."""
 DRIVE, REPLAYED, HOST = "drive", "replayed", "host"
 
 
@@ -129,7 +131,15 @@ def load(source: Source, asked: Asked) -> Track:
     course = survey(pieces(channels={reference.channel, *speeds, *status}), reference.channel, speeds, n_p or 1)
     fastest = reference.fastest or (n_p or 1) * parameters.get("omega_m_max", 0.0)
     _require_unambiguous(course, str(run.path), config.rate, fastest)
-    return _track(run, parameters, reference, pieces, course, asked.names)
+    assumed = {"n_p": 1.0, "omega_m_max": FASTER * max(course.top_speed, reference.fastest) / (n_p or 1)}
+    assumed = {name: value for name, value in assumed.items() if name not in parameters}
+    found = _track(run, {**parameters, **assumed}, reference, pieces, course, asked.names)
+    notes = list(found.notes)
+    if "omega_m_max" in assumed:
+        notes.append(f"omega_m_max is not told: observers expect {FASTER:g} times the fastest that the shaft turns")
+    if n_p is None:
+        notes.append("the number of pole pairs is unknown: r/min are electrical")
+    return replace(found, notes=tuple(notes))
 
 
 def _chosen(
@@ -189,8 +199,6 @@ def _track(
         notes.append(f"angles differ in time: {words}")
     if reference.kind == EDGES:
         notes = [*_by_edges(reference, course, scored.sd, (n_p or 1) * parameters.get("omega_m_max", math.inf)), *notes]
-    if n_p is None:
-        notes.append("the number of pole pairs is unknown: r/min are electrical")
     kernels = None if estimators is None else estimators.kernels
     return Track(
         path=str(run.path),
