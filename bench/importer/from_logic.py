@@ -235,6 +235,7 @@ class MoteusFile:
         with reading(self._path), stream(self._path) as file:
             file.read(self._first)
             while block := file.read(3 << 16):
+                block += b"\0" if len(block) % 3 == 2 else b""  # the last sample has its code
                 packed = np.frombuffer(block[: len(block) - len(block) % 3], np.uint8).reshape(-1, 3)
                 wrong = np.flatnonzero((packed[:, 0] != 0x5A) | (packed[:, 1] > 7) | (packed[:, 2] != 0))
                 if len(wrong):

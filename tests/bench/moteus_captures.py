@@ -13,14 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.record.info import RunInfo
-from bench.record.writer import RunWriter
+from bench.importer.from_logic import MoteusFile
+from bench.importer.importer import Prepared, capture_of, prepare
+from bench.importer.importer import write as import_run
+from bench.importer.mapping import mapping_of
 from bench.signal.capture import Capture
-from bench.signal.chunks import part
-from protocol.descriptor import Descriptor
-from protocol.messages import StreamEvent
-from protocol.signals import DRIVE_CHANNELS
-from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 FOLDER = Path(
     os.environ.get("HALLBENCH_CAPTURES", Path(__file__).resolve().parents[3] / "shared" / "data" / "moteus-hall")
@@ -35,11 +32,9 @@ NAMES = (
     "20260618-spindle-hw",
     "20260618-spindle-sweep",
 )
-RATE, TICK_HZ = 30_000, 30_000_000
+RATE = 30_000
 NEIGHBOURS = {(1, 3), (3, 2), (2, 6), (6, 4), (4, 5), (5, 1)}
 """Codes that follow each other forward (SPEC chapter 12)."""
-
-_HALL = tuple(channel for channel in Descriptor.of(DRIVE_CHANNELS, ()).channels if channel.name == "hall")
 
 needs_captures = pytest.mark.skipif(
     not all((FOLDER / f"{name}.dat.gz").is_file() for name in NAMES),
@@ -52,46 +47,25 @@ def unpacked(name: str) -> bytes:
     return gzip.decompress((FOLDER / f"{name}.dat.gz").read_bytes())
 
 
+def prepared(name: str, decimation: int) -> Prepared:
+    """A capture as `bench import` prepares it."""
+    source = MoteusFile(FOLDER / f"{name}.dat.gz")
+    rate = {} if decimation == 1 else {"rate_hz": RATE / decimation}
+    return prepare(source, mapping_of({"time": rate, "hall": {"column": "hall"}}, name))
+
+
 def read(name: str, decimation: int = 1) -> Capture:
     """A capture; an edge has the tick of the sample in which its code is seen first, 33 us late at most.
 
     Args:
         decimation: every how many samples one is kept; edges are those of all samples.
     """
-    packed = np.frombuffer(unpacked(name), np.uint8)
-    first = next(k for k in range(3) if np.all(packed[k::3] == 0x5A))
-    codes = packed[first + 1 :: 3]
-    clock = {"tick_hz": TICK_HZ, "pwm_hz": RATE}
-    config = StreamConfig(1, 0, 1, StreamEvent.PWM, decimation, _HALL, 32, **clock)
-    index = np.arange(0, len(codes), decimation, dtype=np.int64)
-    raw = np.empty(len(index), config.dtype)
-    raw["hall"] = codes[index]
-    samples = SampleChunk(config, index, index * (TICK_HZ // RATE), raw, ())
-    changed = np.flatnonzero(np.diff(codes)) + 1
-    old, new = codes[changed - 1], codes[changed]
-    legal = [pair in NEIGHBOURS or pair[::-1] in NEIGHBOURS for pair in zip(old.tolist(), new.tolist(), strict=True)]
-    n = len(changed)
-    edges = EdgeChunk(
-        StreamConfig(1, 1, 2, StreamEvent.EDGES, 1, (), 32, **clock), changed * (TICK_HZ // RATE), old, new,
-        ~np.array(legal), np.zeros(n, np.uint16), np.arange(n, dtype=np.int64), (),
-    )  # fmt: skip
-    return Capture(samples, edges)
+    return capture_of(prepared(name, decimation))
 
 
 def write(path: Path, name: str, decimation: int = 1) -> Path:
     """A recording of it, for `bench hall check`."""
-    capture = read(name, decimation)
-    writer = RunWriter(path, RunInfo(TICK_HZ, RATE, _HALL, identity={"name": name}))
-    sent = 0
-    for first in range(0, len(capture), 50_000):
-        samples = part(capture.samples, first, min(first + 50_000, len(capture)))
-        until = int(np.searchsorted(capture.edges.tick, samples.tick[-1], side="right"))
-        if until > sent:  # edges come before the samples of their time
-            writer.take(part(capture.edges, sent, until))
-        writer.take(samples)
-        sent = until
-    writer.close()
-    return path
+    return import_run(prepared(name, decimation), FOLDER / f"{name}.dat.gz", path).path
 
 
 def shares_deg(capture: Capture, first: float, last: float) -> np.ndarray:
