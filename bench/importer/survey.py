@@ -30,7 +30,7 @@ GAP = 1.5
 """Periods from one row to the next, from which on rows are missing between them."""
 SAME = 0.01
 """Share of rows that may have the time of the row before: more, and the column does not tell the time."""
-SURE = 100
+SURE = 36
 """Sectors passed from which on the pole pairs are told from them."""
 _SECTOR = np.array(SECTOR_OF_CODE)
 Progress = Callable[[str], None]
@@ -230,9 +230,12 @@ class Survey:
         for one in plan.inputs:
             ratio = abs(self.turns.get(one.name, math.nan))
             near = round(ratio) if math.isfinite(ratio) else 0
-            if one.electrical is None and near >= 1 and abs(ratio - near) < 0.05 * near and self.sectors >= SURE:
+            if near < 1 or abs(ratio - near) > 0.05 * near or self.sectors < SURE:
+                continue
+            if one.electrical is None:
                 electrical[one.name] = near == 1 and n_p != 1
-                n_p = n_p or (near if near > 1 else None)
+            if not electrical.get(one.name, one.electrical):
+                n_p = n_p or near
         return plan.with_n_p(n_p, electrical)
 
 
