@@ -276,7 +276,11 @@ def given(stream: StreamConfig) -> tuple[str, ...]:
 
 def known(entry: Entry, parameters: Mapping[str, float], fed: Sequence[str]) -> Mapping[str, float]:
     """The drive's parameters for an observer, with those that matter only to what it is not `fed`."""
-    return parameters if set(entry.needs.helpful).issubset(fed) else {**entry.needs.without, **parameters}
+    lacking, without = set(entry.needs.helpful).difference(fed), entry.needs.without
+    if not lacking:
+        return parameters
+    unheard = {"R_s_hat": without["R_s_hat"]} if "R_s_hat" in without and not lacking.isdisjoint(VOLTAGE) else {}
+    return {**without, **parameters, **unheard}
 
 
 def done_without(names: Collection[str], stream: StreamConfig) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ number of samples over which the error stays the same.
   that many samples, so it is the gain for their mean, P h / (UPDATE_EVERY h P h + r), which is below 1 / UPDATE_EVERY.
 - Without a voltage, with the outputs off or where none is known, edges alone correct the state: the acceleration
   wanders faster, as a drive may turn the shaft that is not seen, and no edge is doubted because the back-EMF is quiet.
+  Where none will be known, which a resistance of 0 says, the angle before the first edge is that of the sector.
 - If the inertia is known, the acceleration follows the current and is uncertain by a part of that change; otherwise it
   wanders slowly. A load step shows in e_d and e_q before the next edge: the filter compares their filtered residues
   with the usual ones. Beyond `SURPRISE` times the expected variance it assumes that the acceleration has been different
@@ -928,7 +929,7 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
         kalman, last = _in_sector(scale, kalman, last, lessons, sector)
     if last.passed > 0:
         kalman = _bounded(scale, kalman, last, state.belief, lessons, state.levels.code, sharp)
-    elif not driven and sector >= 0:
+    elif scale.R_s == 0.0 and sector >= 0:  # there is no voltage that will tell
         kalman = _between(kalman, centre(sector, 0.0), SECTOR_WIDTH)
     kalman = _with_gains(scale, kalman, psi, watch.i_q)
     twice = edge_lessons.twice_of(lessons, scale, kalman.x[1])

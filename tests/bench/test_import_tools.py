@@ -8,6 +8,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import pty
+import subprocess
+import sys
+from contextlib import suppress
 from pathlib import Path
 
 import asammdf
@@ -15,6 +20,7 @@ import imports_made as made
 import numpy as np
 import pandas as pd
 import pytest
+from processes import ENVIRONMENT
 
 import bench
 from bench.cli import main
@@ -202,3 +208,34 @@ def test_a_preset_is_a_mapping(name: str, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(to_toml(read(name)))
     told = read(name)
     assert read(str(tmp_path / "a.toml")) == told.model_copy(update={"signature": ()})
+
+
+def at_a_terminal(file: Path, answers: str) -> str:
+    """What `bench import` says and asks there; all answers are typed ahead."""
+    master, slave = pty.openpty()
+    command = [sys.executable, "-m", "bench", "import", str(file), "-o", str(file.with_suffix(".run")), "--overwrite"]
+    with subprocess.Popen(command, stdin=slave, stdout=subprocess.DEVNULL, stderr=slave, env=ENVIRONMENT) as program:
+        os.close(slave)
+        os.write(master, answers.encode())
+        said = b""
+        with suppress(OSError):  # nobody holds the other end any more
+            while data := os.read(master, 4096):
+                said += data
+        os.close(master)
+        assert program.wait(60) == 0, said.decode()
+    return said.decode()
+
+
+@pytest.mark.slow
+def test_the_guess_is_asked_about_at_a_terminal(tmp_path: Path) -> None:
+    made.csv_wide(tmp_path / "a.csv")
+    said = at_a_terminal(tmp_path / "a.csv", "y\n")
+    assert "theta_enc: theta, el deg" in said
+    assert "Use this? [Y/n]" in said
+    assert set(bench.read(tmp_path / "a.run").names) == {"hall", "theta_enc", "i_a", "i_b", "i_c", "u_alpha", "u_beta"}
+    said = at_a_terminal(tmp_path / "a.csv", "n\n\n\n-\n-\n\ni_c:mA\n-\n-\n-\n6\n")
+    assert "Hall sensors a, b, c" in said
+    run = bench.read(tmp_path / "a.run")
+    assert run.parameters == {"n_p": 6}
+    assert run["i_b"] == pytest.approx(made.columns()["i_c"] * 1e-3, abs=1e-8)
+    assert "theta_enc" not in run.names

@@ -296,7 +296,7 @@ def test_commit_without_a_store_or_a_place_to_write_is_refused(tmp_path: Path) -
         ("rubbish", "cannot read the parameters in"),
         ("[]", "holds no parameters"),
         (json.dumps({"R_s": 1.0}), "unknown parameter R_s"),
-        (json.dumps({"i_max": -1.0}), "i_max must be between 0 and 30, got -1.0"),
+        (json.dumps({"i_max": -1.0}), "i_max must be between 0 and 200, got -1.0"),
         (json.dumps({"i_max": True}), "got True"),
         (json.dumps({"n_p": 3.5}), "n_p must be a whole number, got 3.5"),
     ],
