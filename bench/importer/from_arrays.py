@@ -29,6 +29,8 @@ WIDE = 64
 """Columns of a matrix, at most, that become channels each."""
 
 
+DEFLATED = 1100
+"""Bytes that one may unpack to, at most."""
 TRIAL, TRIAL_RATE = 5.0, 20e6
 """s that a file may take to be read on trial, and bytes for one more."""
 _HDF5 = (ValueError, KeyError, RuntimeError, TypeError, OverflowError, ZeroDivisionError, AttributeError)
@@ -375,6 +377,8 @@ class MdfFile:
         for number, group in enumerate(self._mdf.groups):
             n = int(group.channel_group.cycles_nr)
             master = self._mdf.masters_db.get(number)
+            if n * int(group.channel_group.samples_byte_nr) > DEFLATED * self._path.stat().st_size:
+                raise BenchError(f"{self._path} says that it has {n} records, more than it can hold: it is damaged")
             if n < 2 or master is None:
                 self.left_out += [f"{printable(c.name)}: no time" for c in group.channels[:3] if master is None]
                 continue
@@ -413,6 +417,8 @@ class MdfFile:
                         if name in names:
                             found[name] = _valid(one)
                 yield {table.name: found}
+                if len(found[table.time or ""]) < min(BATCH, n - first):
+                    break  # the file ends before it said
 
     def _signal(self, **where: int) -> Any:
         """Physical values; numbers where the file has words for them."""

@@ -31,7 +31,7 @@ from bench.importer.mapping import Mapping
 from bench.importer.opened import opened
 from protocol.streams import SampleChunk
 
-ROWS = 120
+ROWS = 40
 FORMATS: dict[str, Any] = {
     **made.WIDE, **{name: make for name, (make, _) in made.LOGIC.items()}, **dict.fromkeys(made.CAN, made.can_log),
     "codes.dat": lambda path: path.write_bytes(b"".join(bytes([0x5A, code, 0]) for code in made.columns()["hall"])),
@@ -150,7 +150,7 @@ def run(name: str, seed: int, count: int) -> Counter[str]:
     with tempfile.TemporaryDirectory() as folder:
         data = original(name, Path(folder))
         if name in made.LOGIC or name in made.CAN or name == "codes.dat":
-            data = data if name.endswith((".sr", ".blf")) else data[:12_000]
+            data = data if name.endswith((".sr", ".blf")) else data[:4_000]
         for k in range(seed, seed + count):
             path = Path(folder) / f"x{k % 2}{name}" if name not in made.CAN else Path(folder) / name
             path.write_bytes(damaged(data, Random(k)))
