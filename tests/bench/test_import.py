@@ -64,6 +64,9 @@ def test_the_other_commands_take_it(wide: Path, tmp_path: Path) -> None:
     assert (health.verdict, health.missing) == (wanted.verdict, wanted.missing)
     assert [finding.cause for finding in health.findings] == [finding.cause for finding in wanted.findings]
     assert health.measured.ring == pytest.approx(wanted.measured.ring, abs=1e-6)
+    scored, like = (bench.score(run, observers=["average_speed", "sector_centre"]).pooled for run in (wide, direct))
+    for name, figures in like.items():
+        assert scored[name]["moving"]["rms"] == pytest.approx(figures["moving"]["rms"], abs=1e-4)
     assert bench.compare(wide, direct).rows
     assert bench.plot(wide)["hall_edges"].figure is not None
     bench.export(wide, tmp_path / "back.csv")
