@@ -30,7 +30,9 @@ from protocol.signals import DRIVE_CHANNELS, SECTOR_OF_CODE, Flag, RawType, Unit
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
 MOST_RATE = 100_000.0
-"""Samples a second from which on not all rows become samples."""
+"""Samples a second from which on not all rows of a long recording become samples."""
+MOST_ROWS = 1_000_000
+"""Rows that become samples each, however many come a second."""
 OF_EDGES = 10_000.0
 """Samples a second where there are edges alone."""
 HELD_OVER = 3.0
@@ -79,7 +81,7 @@ def timing(plan: Plan, seen: Survey, rate_hz: float) -> Timing:
         main = min(sampled, key=lambda name: sampled[name].period)
         rate = plan.tables[main].rate or hz / sampled[main].period
         if rate_hz in (0.0, plan.tables[main].rate) and sampled[main].regular:
-            every = max(1, math.ceil(rate / MOST_RATE - 1e-9))
+            every = max(1, math.ceil(rate / MOST_RATE - 1e-9)) if sampled[main].rows > MOST_ROWS else 1
             fraction = nice(rate)
             return Timing(main, hz, fraction.numerator, fraction.denominator * every, every)
         rate_hz = rate_hz or min(rate, MOST_RATE)

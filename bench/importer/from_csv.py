@@ -90,6 +90,7 @@ class CsvFile:
             raise BenchError(f"{self._path}: no column has numbers ({printable(first)[:60]} …): is the separator "
                              "right? (--separator, --decimal)")  # fmt: skip
         time = time_column(usable, dict(zip(written.names, written.types, strict=True)))
+        time = time or _even_column(written, [column.name for column in usable])
         table = Table("", tuple(_dated(column, time, written) for column in usable), time)
         return replace(table, held=time is not None and _are_changes(written, time))
 
@@ -300,7 +301,8 @@ def _data(rows: list[list[str]], decimal: str) -> tuple[int, int]:
     width = max(set(tail), key=tail.count, default=0)
     if not width:
         return 1, len(rows)
-    numeric = [_kind([cell], decimal) != "text" for cell in (rows[full[-1]] if len(rows[full[-1]]) == width else [])]
+    last = rows[full[-1]] if len(rows[full[-1]]) == width else []
+    numeric = [cell.strip() not in MISSING and _kind([cell], decimal) != "text" for cell in last]
     for k in full:
         row = rows[k]
         if len(row) == width and _values(row, numeric, decimal):
@@ -394,6 +396,20 @@ def _dated(column: Column, time: str | None, written: Written) -> Column:
         found = re.search(r"(?:^|_)(ms|us|ns|s)(?:_|$)", column.name)
         return replace(column, unit=found[1]) if found else column
     return column
+
+
+def _even_column(written: Written, usable: list[str]) -> str | None:
+    """Of a text without a header the one column that grows evenly, but for one that counts rows."""
+    if not written.names[0].startswith("column 1"):
+        return None
+    even = []
+    for k, name in enumerate(written.names):
+        cells = [row[k].strip().replace(written.decimal, ".") for row in written.rows]
+        if name in usable and written.types[k] == "number" and all(cell not in MISSING for cell in cells):
+            steps = np.diff([float(cell) for cell in cells])
+            if len(steps) > 2 and steps.min() > 0.0 and np.ptp(steps) < 0.1 * steps.mean() and steps.mean() != 1.0:
+                even.append(name)
+    return even[0] if len(even) == 1 else None
 
 
 def _are_changes(written: Written, time: str) -> bool:

@@ -222,7 +222,7 @@ def _with_shared_time(tables: list[Table], leaves: dict[str, dict[str, Leaf]]) -
 
 
 _TIMES = re.compile(
-    r"^(t|time|times|timestamps?|zeit|ms_today|__time|elapsed|x|sekunden|seconds|tout)\b|"
+    r"^(t|time|times|timestamps?|zeit|ms_today|__time|elapsed|x|sekunden|seconds?|tout)\b|"
     r"^time[ _(\[]|_time$|time_?(s|ms|us|ns)$",
     re.IGNORECASE,
 )

@@ -239,3 +239,36 @@ def test_the_guess_is_asked_about_at_a_terminal(tmp_path: Path) -> None:
     assert run.parameters == {"n_p": 6}
     assert run["i_b"] == pytest.approx(made.columns()["i_c"] * 1e-3, abs=1e-8)
     assert "theta_enc" not in run.names
+
+
+SCOPES = {
+    "PicoScope": "Time,Channel A\n(ms),(V)\n\n0.0,1.0\n0.5,1.5\n1.0,2\n1.5,0\n",
+    "Keysight": "x-axis,1\nsecond,Volt\n-1e-3,1.0\n-5e-4,1.5\n0,2\n5e-4,0\n",
+    "Tektronix TDS": "Record Length,4,,-0.001,1.0\nTrigger Point,3,,-0.0005,1.5\n,,,0.0,2\n,,,0.0005,0\n",
+    "Tektronix MSO": '"Waveform Type","ANALOG"\n"Point Format","Y"\n\nTIME,CH1\n0,1\n5e-4,1.5\n1e-3,2\n15e-4,0\n',
+    "Siglent": "Record Length,Analog:4\nSource,CH1\nSecond,Value\n-1e-3,1\n-5e-4,1.5\n0,2\n5e-4,0\n",
+}
+"""As their manuals and users' files show them: four samples of a volt or two, 0.5 ms apart."""
+
+
+@pytest.mark.parametrize("name", SCOPES)
+def test_what_a_scope_saves(name: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(SCOPES[name])
+    run = imported(tmp_path / "a.csv")
+    assert np.diff(run.t) == pytest.approx([5e-4] * 3)
+    (voltage,) = (channel for channel in run.names if channel != "column_2")
+    assert run[voltage] == pytest.approx([1.0, 1.5, 2.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["X,CH1,Start,Increment,\nSequence,Volt,-6e-3,2e-5,\n0,1.2,,,\n1,1.3,,,\n2,1.4,,,\n", "D0,D1\n1,0\n0,1\n0,0\n"],
+)
+def test_a_scope_that_tells_no_time_is_asked_for_its_rate(
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(SystemExit):
+        imported(tmp_path / "a.csv")
+    assert "no column tells the time" in capsys.readouterr().err
+    assert len(imported(tmp_path / "a.csv", "--rate", "50000")) == 3
