@@ -404,9 +404,10 @@ def _even_column(written: Written, usable: list[str]) -> str | None:
         return None
     even = []
     for k, name in enumerate(written.names):
-        cells = [row[k].strip().replace(written.decimal, ".") for row in written.rows]
-        if name in usable and written.types[k] == "number" and all(cell not in MISSING for cell in cells):
-            steps = np.diff([float(cell) for cell in cells])
+        cells = [row[k].strip() for row in written.rows]
+        if name in usable and all(_kind([cell], written.decimal) == "number" and cell not in MISSING for cell in cells):
+            values = np.array([float(cell.replace(written.decimal, ".")) for cell in cells])
+            steps = np.diff(values) if np.isfinite(values).all() else np.empty(0)
             if len(steps) > 2 and steps.min() > 0.0 and np.ptp(steps) < 0.1 * steps.mean() and steps.mean() != 1.0:
                 even.append(name)
     return even[0] if len(even) == 1 else None

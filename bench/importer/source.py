@@ -239,7 +239,10 @@ def time_column(columns: Sequence[Column], kinds: Mapping[str, str] | None = Non
 
 
 def numbers(values: NDArray[Any]) -> NDArray[Any]:
-    """Values (n,) as numbers: bool as 0 and 1, dates as ns since 1970, float16 wider. Raises ValueError for others."""
+    """Values (n,) as numbers: bool as 0 and 1, dates as ns since 1970, float16 wider, infinity as NaN.
+
+    Raises ValueError for others.
+    """
     kind = values.dtype.kind
     if kind == "M":
         return values.astype("datetime64[ns]").astype(np.int64)
@@ -249,4 +252,8 @@ def numbers(values: NDArray[Any]) -> NDArray[Any]:
         return values.astype(np.uint8)
     if kind not in "iuf" or values.dtype.itemsize > 8:
         raise ValueError(f"{values.dtype} is no number")
-    return values.astype(np.float32) if values.dtype.itemsize == 2 and kind == "f" else values
+    if kind != "f":
+        return values
+    values = values.astype(np.float32) if values.dtype.itemsize == 2 else values
+    infinite = np.isinf(values)
+    return np.where(infinite, values.dtype.type(np.nan), values) if infinite.any() else values
