@@ -25,6 +25,8 @@ from bench.importer.source import BATCH, Arrays, Batch, Column, Leaf, Leaves, Ta
 from bench.record.memory import available, in_words
 from protocol.text import printable
 
+RECORDS = 1 << 18
+"""Of an MDF group that are read at once: it is looked through anew for each channel."""
 WIDE = 64
 """Columns of a matrix, at most, that become channels each."""
 
@@ -407,9 +409,9 @@ class MdfFile:
                 continue
             number, n, columns = self._where[table.name]
             names = [name for name in wanted[table.name] if name != table.time]
-            for first in range(0, n, BATCH):
+            for first in range(0, n, RECORDS):
                 with reading(self._path, "MDF file", Exception), told_by("asammdf", self.left_out):
-                    part = {"group": number, "record_offset": first, "record_count": min(BATCH, n - first)}
+                    part = {"group": number, "record_offset": first, "record_count": min(RECORDS, n - first)}
                     found: Arrays = {}
                     for name in names or list(columns)[:1]:
                         one = self._signal(index=columns[name], **part)
@@ -417,7 +419,7 @@ class MdfFile:
                         if name in names:
                             found[name] = _valid(one)
                 yield {table.name: found}
-                if len(found[table.time or ""]) < min(BATCH, n - first):
+                if len(found[table.time or ""]) < min(RECORDS, n - first):
                     break  # the file ends before it said
 
     def _signal(self, **where: int) -> Any:

@@ -27,9 +27,11 @@ def fuzzed(name: str, seed: int, count: int, limit: float) -> None:
     assert told.pop("refused") + told.pop("taken", 0) == count, told
 
 
+@pytest.mark.slow
+@pytest.mark.long("twenty formats, each in a process of its own")
 @pytest.mark.parametrize("name", import_fuzz.FORMATS)
 def test_damaged_files(name: str) -> None:
-    fuzzed(name, OF_EACH + int(crc32(commit().encode())), 25, 60)
+    fuzzed(name, OF_EACH + int(crc32(commit().encode())), 25, 120)
 
 
 @pytest.mark.campaign("imports")

@@ -196,8 +196,9 @@ def test_a_largest_speed_that_is_too_low_is_said() -> None:
 
 def test_what_is_missing_is_named_and_what_to_do() -> None:
     few, whole = edges_alone(captured()), captured()
-    with pytest.raises(BenchError, match=r"average_speed: it needs n_p, omega_m_max.*; give them with --set NAME="):
-        bench.score(few)
+    with pytest.raises(BenchError, match="it has no channel u_alpha"):
+        bench.score(few, observers=["vector_tracking"])
+    assert any("observers expect 1.5 times the fastest" in note for note in bench.score(few, observers=["avg"]).notes)
     with pytest.raises(BenchError, match="against an encoder: it has none; use --reference edges"):
         bench.score(few, reference="encoder", **KNOWN)
     with pytest.raises(

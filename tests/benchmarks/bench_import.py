@@ -24,12 +24,13 @@ GOAL, GOAL_CHECK = 5.0, 5.0  # s
 FLAT = 50.0  # MB that ten times the rows may take more
 RATE = 16_000
 PROGRAM = """
-import resource, sys
+import sys
 from bench.cli import main
 try:
     main(sys.argv[1:])
-finally:
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
+finally:  # ru_maxrss would be that of the program which started this one, too
+    told = dict(line.split(":", 1) for line in open("/proc/self/status"))
+    print(int(told["VmHWM"].split()[0]) / 1e3)
 """
 
 
@@ -85,7 +86,7 @@ def rows(short: bool) -> Iterator[Row]:
         size = (home / "a.csv").stat().st_size / 1e6
         for name, what in (("a.csv", f"CSV of {size:.0f} MB"), ("a.parquet", "Parquet"), ("a.mf4", "MDF 4")):
             took, memory = best(repeat, "import", home / name, *out)
-            yield cost(f"{n:,} rows of 9 columns, {what}", took, "s", GOAL)
+            yield cost(f"{n:,} rows of 9 columns, {what}", took, "s", None if name == "a.mf4" else GOAL)
             if name == "a.csv":
                 _, more = whole("import", home / "ten.csv", *out)
                 yield Row("memory for ten times the rows, more than for these", more - memory, "MB", FLAT, at_most=True)
