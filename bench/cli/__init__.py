@@ -28,7 +28,7 @@ _COMMANDS = {
     "plot": "Draw the standard plots of a recorded run.",
     "measure": "Measure between two cursors: means, extremes, slopes, frequencies.",
     "compare": "Compare two recorded runs: differences beyond noise.",
-    "import": "Import recordings of other tools: CSV, VCD, sigrok, MDF 4, MATLAB, CAN …",
+    "import": "Import recordings of other tools: CSV, VCD, sigrok, MDF 4, MATLAB, CAN",
     "export": "Export a recorded run: CSV, MDF 4, MATLAB, NumPy, rerun, Parquet.",
     "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
     "conform": "Check whether a device conforms to HBP, the protocol.",

@@ -135,7 +135,7 @@ def load(source: Source, asked: Asked) -> Track:
     assumed = {name: value for name, value in assumed.items() if name not in parameters}
     found = _track(run, {**parameters, **assumed}, reference, pieces, course, asked.names)
     notes = list(found.notes)
-    if "omega_m_max" in assumed:
+    if "omega_m_max" in assumed and HOST in found.kinds.values():
         notes.append(f"omega_m_max is not told: observers expect {FASTER:g} times the fastest that the shaft turns")
     if n_p is None:
         notes.append("the number of pole pairs is unknown: r/min are electrical")

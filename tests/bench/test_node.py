@@ -86,8 +86,8 @@ def test_a_whole_session_over_each_link(bench: Bench) -> None:
     assert before.default == np.float32(0.158)
     assert drive.set("R_s_hat", 0.2) == np.float32(0.2) == drive.parameter("R_s_hat").value
     assert drive.set("R_s_hat", before.default) == before.default
-    with pytest.raises(NodeError, match=r"i_max must be 0\.\.30, got 99"):
-        drive.set("i_max", 99)
+    with pytest.raises(NodeError, match=r"i_max must be 0\.\.200, got 999"):
+        drive.set("i_max", 999)
     with pytest.raises(NodeError, match="no parameter 'R_hat': did you mean R_s_hat"):
         drive.set("R_hat", 1)
     decimation = bench.stream()
