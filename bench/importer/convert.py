@@ -229,7 +229,7 @@ class _Hall:
         self._tables, self._config = tables, config
         self._last = -_END
         self._code, self._at, self._index, self._gap = -1, 0, 0, False
-        self._kept: tuple[I64, I64] = (np.empty(0, np.int64), np.empty(0, np.int64))
+        self._kept: tuple[I64, I64, int] = (np.empty(0, np.int64), np.empty(0, np.int64), -1)  # and the code before
 
     def take(self, horizon: int) -> EdgeChunk | None:
         """Edges up to a time; codes up to it are known then."""
@@ -253,7 +253,7 @@ class _Hall:
                 values = self._tables[table].columns.get(column, np.full(1, math.nan))[before].astype(np.float64)
                 levels.append(self._codes.level(k, np.where(known, values, math.nan)))
             code, gaps = HallCodes.together(levels), np.zeros(len(events), bool)
-        self._kept = events, code
+        self._kept = events, code, self._code
         return self._edges(events, code, gaps)
 
     def _edges(self, events: I64, code: I64, gaps: NDArray[np.bool_]) -> EdgeChunk | None:
@@ -284,21 +284,15 @@ class _Hall:
     def at(self, grid: I64) -> I64:
         """Codes at times, (n,); -1 where none is known."""
         rows = self._tables[self._names[0]]
-        events, code = self._kept
+        events, code, earlier = self._kept
         if not len(events):
-            return np.full(len(grid), self._code)
+            return np.full(len(grid), earlier)
         before = np.searchsorted(events, grid, "right") - 1
-        found = np.where(before >= 0, code[np.maximum(before, 0)], self._before)
+        found = np.where(before >= 0, code[np.maximum(before, 0)], earlier)
         if len(self._names) == 1 and not rows.held:
             _, _, _, known = rows.at(grid)
             found = np.where(known, found, -1)
         return found
-
-    _before = -1
-
-    def done(self) -> None:
-        """Go on to the next times."""
-        self._before = self._code
 
 
 class Converter:
@@ -332,8 +326,6 @@ class Converter:
                 if samples is not None:
                     self.samples += len(samples)
                     yield samples
-            if hall:
-                hall.done()
             for rows in tables.values():
                 rows.let_go(horizon)
             progress(f"{self.samples} samples, {self.edges} Hall edges")

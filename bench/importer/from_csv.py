@@ -36,6 +36,7 @@ RAGGED = 0.1
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|Inf|INF|infinity)")
 _COMMA_NUMBER = re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?")
+_ZONE = re.compile(r":\d\d(\.\d+)?(Z|[+-]\d\d:?\d\d)$")
 _CLOCK = re.compile(r"\d\d:\d\d:\d\d(\.\d{1,9})?")
 
 
@@ -51,7 +52,7 @@ class Written:
     names: tuple[str, ...]
     units: tuple[str, ...]
     types: tuple[str, ...]
-    """number, integer, bool, date, clock or text, of each column."""
+    """number, integer, bool, date, zoned date, clock, text or empty, of each column."""
     rows: tuple[tuple[str, ...], ...]
     """Some of the first ones."""
 
@@ -72,7 +73,6 @@ class CsvFile:
         self._written = written(path, told)
         self.about: Mapping[str, Any] = {"separator": self._written.separator, "decimal": self._written.decimal}
         self._long = told.layout == "long" or (not told.layout and _seems_long(self._written))
-        self.ragged = 0
         self.left_out: list[str] = []
         self.tables = self._long_tables() if self._long else (self._wide_table(),)
 
@@ -149,6 +149,7 @@ class CsvFile:
 
         kinds = {
             "number": pa.float64(), "integer": pa.int64(), "bool": pa.bool_(), "date": pa.timestamp("ns"),
+            "zoned date": pa.timestamp("ns", "UTC"),
             "clock": pa.time64("ns"), "text": pa.string(), "empty": pa.null(),
         }  # fmt: skip
         chosen = {name: kinds[kind] for name, kind in zip(written.names, written.types, strict=True) if name in names}
@@ -177,7 +178,9 @@ class CsvFile:
                 f"such as '{printable(ragged[0].text)[:60]}': is the separator '{printable(written.separator)}'? "
                 "(--separator)"
             )
-        self.ragged = len(ragged)
+        if ragged:
+            words = f"{counted(len(ragged), 'line')} with another number of columns, such as "
+            self.left_out[:] = dict.fromkeys([*self.left_out, f"{words}'{printable(ragged[0].text)[:40]}'"])
 
     def _wrong(self, words: str) -> str:
         """What is wrong with a cell that is no number, with its line."""
@@ -282,7 +285,8 @@ def _kind(cells: list[str], decimal: str) -> str:
         return "integer" if wide and all(cell.lstrip("+-").isdigit() for cell in known) else "number"
     for kind, form in (("date", _DATE), ("clock", _CLOCK)):
         if all(form.fullmatch(cell) for cell in known):
-            return kind
+            zoned = kind == "date" and all(_ZONE.search(cell) for cell in known)
+            return "zoned date" if zoned else kind
     return "bool" if all(cell.lower() in ("true", "false") for cell in known) else "text"
 
 
@@ -390,7 +394,7 @@ def _roles(written: Written) -> tuple[str, str, str]:
 def _dated(column: Column, time: str | None, written: Written) -> Column:
     """Dates are in ns; and some names tell the unit of the time."""
     kind = written.types[written.names.index(column.name)]
-    if kind in ("date", "clock"):
+    if kind in ("date", "zoned date", "clock"):
         return replace(column, unit="ns")
     if column.name == time and not column.unit:
         found = re.search(r"(?:^|_)(ms|us|ns|s)(?:_|$)", column.name)

@@ -91,9 +91,10 @@ class Prepared:
             )
 
     def _left_out(self) -> Iterator[str]:
-        if self.plan.left_out:
-            more = f" and {len(self.plan.left_out) - 5} more" if len(self.plan.left_out) > 5 else ""
-            yield f"left out: {'; '.join(self.plan.left_out[:5])}{more}"
+        words = list(dict.fromkeys([*self.plan.left_out, *self.source.left_out]))  # some is known once it was read
+        if words:
+            more = f" and {len(words) - 5} more" if len(words) > 5 else ""
+            yield f"left out: {'; '.join(words[:5])}{more}"
 
 
 @dataclass(frozen=True)

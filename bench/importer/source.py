@@ -231,7 +231,7 @@ _TIMES = re.compile(
 def time_column(columns: Sequence[Column], kinds: Mapping[str, str] | None = None) -> str | None:
     """Which column is the time, by its name, its unit, or what its cells are; None where none seems so."""
     kinds = kinds or {}
-    dated = [column.name for column in columns if kinds.get(column.name) in ("date", "clock")]
+    dated = [column.name for column in columns if kinds.get(column.name) in ("date", "zoned date", "clock")]
     of_unit = [c.name for c in columns if c.unit and (scale := scale_of(c.unit)) and scale.unit == Unit.S]
     named = [column.name for column in columns if _TIMES.search(column.name)]
     both = [name for name in named if name in of_unit]
