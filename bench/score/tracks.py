@@ -263,7 +263,6 @@ class _Scored:
     def add(self, window: Window, estimates: Mapping[str, Estimate]) -> None:
         """Add a window, with the estimates of its own samples."""
         theta = window.capture.samples.physical(self._reference.channel)
-        sd = np.degrees(window.capture.samples.physical(self._reference.sd_channel or self._reference.channel))
         usable = self._course.usable(window.capture.samples)
         begin = window.own.start
         for rows, own in window.stretches(np.isfinite(theta)):
@@ -272,8 +271,8 @@ class _Scored:
             if self.takes(stretch):
                 block = self._block(stretch, theta[rows], usable[rows], rows, own, self._seen + own.start - begin)
                 self.actual.add(block.points, block.omega[block.own] * block.rpm_by)
-                if self._reference.sd_channel:
-                    self.sd.add(sd[own])
+                if spread := self._reference.sd_channel:
+                    self.sd.add(np.degrees(window.capture.samples.physical(spread)[own]))
                 for name, estimate in estimates.items():
                     part = Estimate(*(values[own.start - begin : own.stop - begin] for values in estimate))
                     degrees = error_of(block, part)
