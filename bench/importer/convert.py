@@ -33,6 +33,8 @@ MOST_RATE = 100_000.0
 """Samples a second from which on not all rows of a long recording become samples."""
 MOST_ROWS = 1_000_000
 """Rows that become samples each, however many come a second."""
+MOST_MADE = 100_000_000
+"""Samples that are made on a grid of their own without having been asked for."""
 OF_EDGES = 10_000.0
 """Samples a second where there are edges alone."""
 HELD_OVER = 3.0
@@ -73,8 +75,8 @@ class Rejected:
             self.counts[why] = self.counts.get(why, 0) + n
 
 
-def timing(plan: Plan, seen: Survey, rate_hz: float) -> Timing:
-    """When samples are made of what was seen; `rate_hz`: the rate that was asked for, 0: none."""
+def timing(source: Source, plan: Plan, seen: Survey, rate_hz: float) -> Timing:
+    """When samples are made of what was seen; `rate_hz`: the rate that was asked for, 0: none. Raises BenchError."""
     sampled = {name: clock for name, clock in seen.clocks.items() if not plan.tables[name].held}
     hz = seen.tick_hz
     if sampled:
@@ -84,8 +86,18 @@ def timing(plan: Plan, seen: Survey, rate_hz: float) -> Timing:
             every = max(1, math.ceil(rate / MOST_RATE - 1e-9)) if sampled[main].rows > MOST_ROWS else 1
             fraction = nice(rate)
             return Timing(main, hz, fraction.numerator, fraction.denominator * every, every)
-        rate_hz = rate_hz or min(rate, MOST_RATE)
-    fraction = nice(rate_hz or OF_EDGES)
+        usual = min(rate, MOST_RATE)
+    else:
+        usual = OF_EDGES
+    name, longest = max(seen.clocks.items(), key=lambda item: item[1].leap)
+    span = max(clock.last or 0 for clock in seen.clocks.values()) / hz
+    if not rate_hz and span * usual > MOST_MADE:
+        raise BenchError(
+            f"{span:.6g} s at {usual:.6g} samples a second are more than {MOST_MADE:,}; the longest step of time, "
+            f"{longest.leap / hz:.6g} s, ends {source.line(name, longest.leap_at)}: cut the file there, or give --rate "
+            "HZ"
+        )
+    fraction = nice(rate_hz or usual)
     if fraction > hz:
         raise BenchError(f"--rate {rate_hz:g}: the file's times go by 1/{hz} s")
     return Timing(None, hz, fraction.numerator, fraction.denominator)

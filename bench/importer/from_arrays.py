@@ -143,7 +143,7 @@ class _Npy:
         self._path, self._member = path, member
         with zipfile.ZipFile(path) as file, file.open(member) as stream:
             self.shape, fortran, self.dtype = self._header(stream)
-            size = file.getinfo(member).file_size
+            size = file.getinfo(member).file_size - stream.tell()
         if fortran and len(self.shape) > 1:
             raise ValueError(f"{member}: a matrix in Fortran's order")
         if self.dtype.hasobject:
@@ -158,7 +158,10 @@ class _Npy:
     def _header(stream: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        return read(stream)
+        try:
+            return read(stream)
+        except Exception as error:  # numpy takes it for Python's source: what is damaged raises anything
+            raise ValueError(f"the header of an array is damaged: {error}") from None
 
     def __getitem__(self, rows: Any) -> NDArray[Any]:
         part = rows if isinstance(rows, slice) else rows[0]
@@ -177,16 +180,7 @@ class _Npy:
 
 def npz(path: Path) -> Leaves:
     """Arrays of an npz file; names such as group/speed are in tables."""
-    errors = (
-        ValueError,
-        zipfile.BadZipFile,
-        KeyError,
-        NotImplementedError,
-        RuntimeError,
-        SyntaxError,
-        TypeError,
-        OverflowError,
-    )
+    errors = ValueError, zipfile.BadZipFile, KeyError, NotImplementedError, RuntimeError
     with reading(path, "npz file", *errors):
         units: dict[str, str] = {}
         found: list[Leaf] = []

@@ -8,9 +8,10 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from functools import lru_cache
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ LOOKED_AT = 200
 """Lines from which types are told."""
 RAGGED = 0.1
 """Share of lines with another number of columns, from which on the separator is in doubt."""
+_FITTING = {"number": ("number", "digits", "integer"), "integer": ("digits", "integer")}
+"""Kinds of cells that a column may have, where it is not its own alone."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|Inf|INF|infinity)")
 _COMMA_NUMBER = re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?")
@@ -135,9 +138,20 @@ class CsvFile:
 
     def line(self, table: str, row: int) -> str:
         """See `bench.importer.source.Source`."""
-        if self._long:
-            return f"in row {row + 1} of {printable(table)}"
-        return f"in line {self._written.first + row + 1}"
+        at = self._written.names.index(self._name) if self._long else 0
+        of_table = (number for number, cells in self._lines() if not self._long or cells[at].strip() == table)
+        return f"in line {next(islice(of_table, row, None), 0)}"
+
+    def _lines(self) -> Iterator[tuple[int, list[str]]]:
+        """Lines with values, those of another number of columns left out: number from 1, cells."""
+        written = self._written
+        with stream(self._path) as file:
+            lines = io.TextIOWrapper(io.BufferedReader(Utf8(file, written.encoding, False)), "utf-8")
+            for number, line in enumerate(lines, 1):
+                if number > written.first and line.strip("\r\n"):
+                    cells = _cells(line, written.separator)
+                    if len(cells) == len(written.names):
+                        yield number, cells
 
     def _batches(self, names: list[str], types: Mapping[str, Any] | None = None) -> Iterator[Any]:
         written, width = self._written, len(self._written.names)
@@ -188,17 +202,13 @@ class CsvFile:
         written = self._written
         if found and int(found[1]) < len(written.names):
             at = int(found[1])
-            with stream(self._path) as file:
-                lines = io.TextIOWrapper(io.BufferedReader(Utf8(file, written.encoding, False)), "utf-8")
-                for number, line in enumerate(lines, 1):
-                    cells = _cells(line, written.separator)
-                    if number > written.first and len(cells) == len(written.names):
-                        cell = cells[at].strip()
-                        if cell not in MISSING and _kind([cell], written.decimal) != written.types[at]:
-                            return (
-                                f"line {number}, column {printable(written.names[at])}: '{printable(cell)[:40]}' is no "
-                                f"{written.types[at]}: mend or remove that line, or leave the column out (--only-named)"
-                            )
+            for number, cells in self._lines():
+                kind, usual = _cell_kind(cells[at], written.decimal), written.types[at]
+                if kind not in ("missing", *_FITTING.get(usual, (usual,))):
+                    return (
+                        f"line {number}, column {printable(written.names[at])}: '{printable(cells[at].strip())[:40]}' "
+                        f"is no {usual}: mend or remove that line, or leave the column out (--only-named)"
+                    )
         return printable(words)[:200]
 
 
@@ -249,7 +259,7 @@ def _separator(lines: list[str], told: Text) -> tuple[str, str]:
     def fitting(choice: tuple[str, str]) -> int:
         cells = [_cells(line, choice[0]) for line in last]
         usual = max(set(map(len, cells)), key=[len(row) for row in cells].count)
-        found = [_kind([cell], choice[1]) for row in cells if len(row) == usual for cell in row]
+        found = [_cell_kind(cell, choice[1]) for row in cells if len(row) == usual for cell in row]
         return sum(1 if kind != "text" else -1 for kind in found) - sum(len(row) != usual for row in cells)
 
     if not choices:
@@ -276,24 +286,36 @@ def _cells(line: str, separator: str) -> list[str]:
     return line.split(separator)
 
 
-def _kind(cells: list[str], decimal: str) -> str:
+@lru_cache(maxsize=1 << 16)
+def _cell_kind(cell: str, decimal: str) -> str:
+    """What a cell is; missing where it says so, integer where no float64 has all its digits."""
+    cell = cell.strip()
+    if cell in MISSING:
+        return "missing"
+    if (_NUMBER if decimal == "." else _COMMA_NUMBER).fullmatch(cell):
+        digits = cell.lstrip("+-")
+        return "number" if not digits.isdigit() else "integer" if len(digits) > 15 else "digits"
+    if _DATE.fullmatch(cell):
+        return "zoned date" if _ZONE.search(cell) else "date"
+    if _CLOCK.fullmatch(cell):
+        return "clock"
+    return "bool" if cell.lower() in ("true", "false") else "text"
+
+
+def _kind(cells: Iterable[str], decimal: str) -> str:
     """What a column's cells are."""
-    known = [cell.strip() for cell in cells if cell.strip() not in MISSING]
-    number = _NUMBER if decimal == "." else _COMMA_NUMBER
-    if all(number.fullmatch(cell) for cell in known):
-        wide = any(cell.lstrip("+-").isdigit() and len(cell.lstrip("+-")) > 15 for cell in known)
-        return "integer" if wide and all(cell.lstrip("+-").isdigit() for cell in known) else "number"
-    for kind, form in (("date", _DATE), ("clock", _CLOCK)):
-        if all(form.fullmatch(cell) for cell in known):
-            zoned = kind == "date" and all(_ZONE.search(cell) for cell in known)
-            return "zoned date" if zoned else kind
-    return "bool" if all(cell.lower() in ("true", "false") for cell in known) else "text"
+    kinds = {_cell_kind(cell, decimal) for cell in cells} - {"missing"}
+    if kinds <= {"number", "digits", "integer"}:
+        return "integer" if "integer" in kinds and "number" not in kinds else "number"
+    if kinds == {"date", "zoned date"}:
+        return "date"
+    return kinds.pop() if len(kinds) == 1 else "text"
 
 
 def _usual_kind(cells: list[str], decimal: str) -> str:
     """What most of a column's cells are; empty where it has none."""
-    known = [cell for cell in cells if cell.strip() not in MISSING]
-    numbers = [cell for cell in known if _kind([cell], decimal) != "text"]
+    known = [cell for cell in cells if _cell_kind(cell, decimal) != "missing"]
+    numbers = [cell for cell in known if _cell_kind(cell, decimal) != "text"]
     return "empty" if not known else _kind(numbers if 2 * len(numbers) > len(known) else known, decimal)
 
 
@@ -306,7 +328,7 @@ def _data(rows: list[list[str]], decimal: str) -> tuple[int, int]:
     if not width:
         return 1, len(rows)
     last = rows[full[-1]] if len(rows[full[-1]]) == width else []
-    numeric = [cell.strip() not in MISSING and _kind([cell], decimal) != "text" for cell in last]
+    numeric = [_cell_kind(cell, decimal) not in ("missing", "text") for cell in last]
     for k in full:
         row = rows[k]
         if len(row) == width and _values(row, numeric, decimal):
@@ -317,9 +339,8 @@ def _data(rows: list[list[str]], decimal: str) -> tuple[int, int]:
 def _values(row: list[str], numeric: list[bool], decimal: str) -> bool:
     """Whether a line has values: numbers where the last line has them, some at least."""
     cells = [cell for cell, number in zip(row, numeric or [True] * len(row), strict=False) if number and cell.strip()]
-    return bool(cells) and all(_kind([cell], decimal) != "text" for cell in cells) and any(
-        cell.strip() not in MISSING for cell in cells
-    )  # fmt: skip
+    kinds = {_cell_kind(cell, decimal) for cell in cells}
+    return "text" not in kinds and bool(kinds - {"missing"})
 
 
 def _header(
@@ -409,7 +430,7 @@ def _even_column(written: Written, usable: list[str]) -> str | None:
     even = []
     for k, name in enumerate(written.names):
         cells = [row[k].strip() for row in written.rows]
-        if name in usable and all(_kind([cell], written.decimal) == "number" and cell not in MISSING for cell in cells):
+        if name in usable and all(_cell_kind(cell, written.decimal) in ("number", "digits") for cell in cells):
             values = np.array([float(cell.replace(written.decimal, ".")) for cell in cells])
             steps = np.diff(values) if np.isfinite(values).all() else np.empty(0)
             if len(steps) > 2 and steps.min() > 0.0 and np.ptp(steps) < 0.1 * steps.mean() and steps.mean() != 1.0:

@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from bench.importer.mapping import VOCABULARY, ChannelColumn, HallColumns, Mapping, presets, read
+from bench.importer.mapping import VOCABULARY, ChannelColumn, HallColumns, Mapping, preset, presets
 from bench.importer.source import Source, Table, numbers
 from bench.importer.units import scale_of
 from protocol.signals import Unit
@@ -88,10 +88,10 @@ def _with_preset(source: Source, told: Mapping, words: list[str]) -> Mapping:
     chosen = told
     if not any(True for _ in told.named) and not told.units:
         for name in presets():
-            preset = read(name)
-            if preset.signature and all(_matching(source, pattern) for pattern in preset.signature):
+            shipped = preset(name)
+            if shipped.signature and all(_matching(source, pattern) for pattern in shipped.signature):
                 words.append(f"it is written as {name} writes: preset {name}")
-                chosen = preset
+                chosen = shipped
                 break
     channels = {
         name: column.model_copy(update={"column": found})

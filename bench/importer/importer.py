@@ -123,7 +123,7 @@ def prepare(
         planned = plan(source, mapping, guessed)
         seen = survey(source, planned, progress)
     planned = seen.pole_pairs(planned).electrical()
-    return Prepared(source, planned, seen, convert.timing(planned, seen, mapping.time.rate_hz), mapping)
+    return Prepared(source, planned, seen, convert.timing(source, planned, seen, mapping.time.rate_hz), mapping)
 
 
 def _sparse(planned: Plan, seen: Survey) -> list[tuple[str, str]]:

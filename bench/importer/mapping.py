@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -176,24 +177,29 @@ def mapping_of(data: Any, what: str) -> Mapping:
         raise BenchError(f"{what}: {where}{': ' if where else ''}{words}{got}") from None
 
 
-def presets() -> list[str]:
+@cache
+def presets() -> tuple[str, ...]:
     """Names of those that are shipped."""
     files = resources.files("bench.importer").joinpath("presets").iterdir()
-    return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+@cache
+def preset(name: str) -> Mapping:
+    """The one of that name."""
+    text = resources.files("bench.importer").joinpath("presets", f"{name}.toml").read_text("utf-8")
+    return mapping_of(tomllib.loads(text), name)
 
 
 def read(name: str) -> Mapping:
     """The mapping in a TOML file, or a preset by its name. BenchError for what is neither, or not right."""
     if name in presets():
-        text = resources.files("bench.importer").joinpath("presets", f"{name}.toml").read_text("utf-8")
-    else:
-        try:
-            text = Path(name).read_text("utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            why = getattr(error, "strerror", None) or "it is no text"
-            raise BenchError(f"--map {name}: {why}; there are the presets {either(presets())}") from None
+        return preset(name)
     try:
-        return mapping_of(tomllib.loads(text), name)
+        return mapping_of(tomllib.loads(Path(name).read_text("utf-8")), name)
+    except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", None) or "it is no text"
+        raise BenchError(f"--map {name}: {why}; there are the presets {either(presets())}") from None
     except tomllib.TOMLDecodeError as error:
         raise BenchError(f"{name} is no TOML: {error}") from None
 

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 
 from bench.errors import BenchError
 from bench.importer.mapping import VOCABULARY, ChannelColumn, HallColumns
@@ -264,7 +265,7 @@ def _others(
 def free_name(name: str, taken: set[str]) -> str:
     """A name made of a column's that no other has."""
     plain = re.sub(r"[^\w.]+", "_", name).strip("_.")[:60] or "column"
-    tries = (plain, *(f"{plain}_{k}" for k in range(1, 10_000)))
+    tries = chain([plain], (f"{plain}_{k}" for k in count(1)))
     return next(one for one in (t if t.lower() not in ("t", "tick", "index") else f"{t}_" for t in tries)
                 if one not in taken)  # fmt: skip
 

@@ -47,6 +47,10 @@ class Clock:
     """Rows with the time of the row before,"""
     same_at: int = -1
     """the first one of them."""
+    leap: int = 0
+    """The longest step from one row to the next, in ticks,"""
+    leap_at: int = -1
+    """and the row that it goes to."""
     untimed: int = 0
     """Rows without a time."""
     _usual: float = 0.0
@@ -62,6 +66,8 @@ class Clock:
             self.first = int(ticks[0])
         self.last = int(ticks[-1])
         self.rows += len(ticks)
+        if len(steps) and (leap := int(steps.max())) > self.leap:
+            self.leap, self.leap_at = leap, row + int(np.argmax(steps)) + (len(ticks) - len(steps))
         still = steps == 0
         if still.any() and self.same_at < 0:
             self.same_at = row + int(np.argmax(still)) + (len(ticks) - len(steps))

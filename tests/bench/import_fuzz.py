@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import csv
 import faulthandler
+import gzip
 import io
 import json
 import math
 import sys
 import tempfile
 import warnings
+import zipfile
 from collections import Counter
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -80,6 +82,20 @@ def damaged(data: bytes, chance: Random) -> bytes:
             case 7:
                 del found[at:]
     return bytes(found)
+
+
+def damaged_inside(name: str, data: bytes, chance: Random) -> bytes:
+    """The same with a change of what is packed in it, and packed again; of other formats a change as it is."""
+    if name.endswith(".gz"):
+        return gzip.compress(damaged(gzip.decompress(data), chance), 1)
+    if not name.endswith((".npz", ".sr")):
+        return damaged(data, chance)
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(out, "w") as new:
+        chosen = chance.choice(old.namelist())
+        for member in old.namelist():
+            new.writestr(member, damaged(old.read(member), chance) if member == chosen else old.read(member))
+    return out.getvalue()
 
 
 def imported(path: Path) -> int:
@@ -153,7 +169,8 @@ def run(name: str, seed: int, count: int) -> Counter[str]:
             data = data if name.endswith((".sr", ".blf")) else data[:4_000]
         for k in range(seed, seed + count):
             path = Path(folder) / f"x{k % 2}{name}" if name not in made.CAN else Path(folder) / name
-            path.write_bytes(damaged(data, Random(k)))
+            chance = Random(k)
+            path.write_bytes(damaged_inside(name, data, chance) if k % 2 else damaged(data, chance))
             print(name, k, flush=True, file=sys.stderr)
             try:
                 with redirect_stdout(io.StringIO()):

@@ -40,6 +40,7 @@ def text(path: Path, **columns: Any) -> Path:
     return path
 
 
+CODES = (b"1,0,0", b"1,1,0", b"0,1,0", b"0,1,1", b"0,0,1", b"1,0,1")
 TEXTS = {
     "empty": (b"", "is empty"),
     "blank": (b"\n\n  \n", "is empty"),
@@ -57,6 +58,10 @@ TEXTS = {
     "on its side": (b"time," + b",".join(b"%d" % k for k in range(20_000)) + b"\na," + b"1," * 19_999 + b"1\n",
                     "is a row a sample?"),
     "a line without an end": (b"time,a " * 60_000, "a line is longer than"),
+    "back, after lines left out": (b"time,a\n" + b"".join(b"%d,1\n" % k for k in range(40)) + b"\n40\n\n41,1\n3,1\n",
+                                   "time goes back in line 46: from 41 to 3 s"),
+    "a leap": (b"time,A,B,C\n" + b"".join(b"%d,%s\n" % (k, CODES[k % 6]) for k in range(60)) + b"9e6,1,0,0\n",
+               "the longest step of time, 8.99994e+06 s, ends in line 62: cut the file there, or give --rate"),
     "units within": (b"time,u\n0,12 mV\n1,0.3 V\n", "u: '12 mV' is no number"),
     "a unit of time": (b"time [parsec],a\n0,1\n1,2\n", "unit"),
 }  # fmt: skip
