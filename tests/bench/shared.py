@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -38,3 +39,12 @@ def once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None
 def table(name: str) -> dict[str, Any]:
     """The cases of a file in `tables`."""
     return tomllib.loads((Path(__file__).parent / "tables" / f"{name}.toml").read_text("utf-8"))
+
+
+_ANGLE = re.compile(r"-?\d+(?:\.\d+)?(?= deg)")
+
+
+def same_cause(said: str, expected: str, within: float = 1.5) -> bool:
+    """Whether a cause is the one expected: angles as good as the configuration is known to a check, in degrees."""
+    pairs = zip(_ANGLE.findall(said), _ANGLE.findall(expected), strict=False)
+    return _ANGLE.sub("", said) == _ANGLE.sub("", expected) and all(abs(float(a) - float(b)) < within for a, b in pairs)

@@ -1,11 +1,14 @@
-"""Observers on recordings that are kept: their figures stay within bounds on both sides, whatever the drive became."""
+"""Recordings that are kept, whatever the simulated drive became: observers' figures stay within bounds on both sides,
+and each fault of the Hall sensors is named."""
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
 import pytest
+from shared import same_cause, table
 
 import bench
 from bench.cli import main
@@ -34,3 +37,13 @@ def test_another_gain_is_out_of_bounds(run: str) -> None:
         figures = board.pooled["replayed_vt"]["transient"]
         lo, hi = bounds["vector_tracking.transient.rms"]
         assert not lo <= figures["rms"] <= hi, (factor, figures["rms"], lo, hi)
+
+
+@pytest.mark.parametrize(("name", "cause"), [(name, cause) for name, _, cause in table("hall_check")["faults"]])
+def test_each_fault_of_hall_sensors_is_named(name: str, cause: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["hall", "check", str(DATA / "faults" / f"{name}.run"), "--json", "-"])
+    said = json.loads(capsys.readouterr().out)
+    assert end.value.code == 1
+    [finding] = said["findings"]
+    assert same_cause(finding["cause"], cause), finding["cause"]
