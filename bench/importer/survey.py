@@ -163,7 +163,7 @@ class HallCodes:
         """Codes of rows, (n,)."""
         if self._one:
             values = numbers(columns[self._columns[0]])
-            known = np.isfinite(values) if values.dtype.kind == "f" else np.ones(len(values), bool)
+            known = (np.abs(values) < 2.0**53) & (values == np.rint(values))  # what is no whole number is no code
             word = np.where(known, values, 0).astype(np.int64)
             code = sum((word >> bit & 1) << k for k, bit in enumerate(self._bits))
             return np.where(known, code, -1)
