@@ -160,7 +160,7 @@ def sigrok(path: Path) -> Memory:
         rate = _sample_rate(device["samplerate"])
         unit = int(device.get("unitsize", "1"))
         probes = {int(key[5:]) - 1: name for key, name in device.items() if re.fullmatch(r"probe\d+", key)}
-        if rate < 1 or unit not in (1, 2, 4, 8) or not probes or max(probes) >= 8 * unit:
+        if rate < 1 or unit not in (1, 2, 4, 8) or not probes or min(probes) < 0 or max(probes) >= 8 * unit:
             raise BenchError(f"{path}: its metadata do not fit together: {counted(unit, 'byte')} a sample, {rate} Hz, "
                              f"{counted(len(probes), 'line')}")  # fmt: skip
         capture = device.get("capturefile", "logic-1")

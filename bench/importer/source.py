@@ -254,6 +254,6 @@ def numbers(values: NDArray[Any]) -> NDArray[Any]:
         raise ValueError(f"{values.dtype} is no number")
     if kind != "f":
         return values
-    values = values.astype(np.float32) if values.dtype.itemsize == 2 else values
-    infinite = np.isinf(values)
-    return np.where(infinite, values.dtype.type(np.nan), values) if infinite.any() else values
+    unknown = ~np.isfinite(values)  # with NaN that signals, of which numpy would warn
+    values = np.where(unknown, values.dtype.type(np.nan), values) if unknown.any() else values
+    return values.astype(np.float32) if values.dtype.itemsize == 2 else values

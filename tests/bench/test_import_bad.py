@@ -115,7 +115,8 @@ def test_values_that_are_missing_stay_missing(tmp_path: Path) -> None:
     i_a = np.sin(T)
     i_a[50:60] = np.nan
     hall = np.array([1, 3, 2, 6, 4, 5])[(np.arange(200) // 5) % 6].astype(float)
-    hall[100:110] = np.nan
+    hall[100:104] = np.nan
+    hall[104:110] = 0.5, 2.5, 1e300, np.inf, -1e300, 3.999
     run = bench.capture(T, {"i_a": i_a, "hall": hall})
     assert len(run) == 190
     assert np.isnan(run["i_a"]).sum() == 10
