@@ -21,6 +21,8 @@ from bench.importer.source import TICK_HZ, Arrays, Batch, Column, Memory, Table,
 from protocol.text import counted, printable
 
 MOST_LINES = 64
+MOST_RATE = 100_000_000_000
+"""Samples a second of a logic analyser, at most."""
 MOST_UNPACKED = 1 << 40
 """Bytes that a session may unpack to: 12 h of a byte at 24 MHz."""
 BLOCK = 1 << 22
@@ -160,7 +162,8 @@ def sigrok(path: Path) -> Memory:
         rate = _sample_rate(device["samplerate"])
         unit = int(device.get("unitsize", "1"))
         probes = {int(key[5:]) - 1: name for key, name in device.items() if re.fullmatch(r"probe\d+", key)}
-        if rate < 1 or unit not in (1, 2, 4, 8) or not probes or min(probes) < 0 or max(probes) >= 8 * unit:
+        fitting = bool(probes) and min(probes) >= 0 and max(probes) < 8 * unit
+        if not 1 <= rate <= MOST_RATE or unit not in (1, 2, 4, 8) or not fitting:
             raise BenchError(f"{path}: its metadata do not fit together: {counted(unit, 'byte')} a sample, {rate} Hz, "
                              f"{counted(len(probes), 'line')}")  # fmt: skip
         capture = device.get("capturefile", "logic-1")
@@ -204,7 +207,7 @@ def _sample_rate(text: str) -> int:
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kMG]?)(?:Hz)?\s*", text)
     if not found:
         raise BenchError(f"sample rate '{printable(text)[:30]}' is none")
-    return round(float(found[1]) * {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}[found[2]])
+    return round(min(float(found[1]), 1e12) * {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}[found[2]])
 
 
 # -- moteus ---------------------------------------------------------------------------------------------------------
