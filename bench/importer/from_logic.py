@@ -23,6 +23,7 @@ from protocol.text import counted, printable
 MOST_LINES = 64
 MOST_RATE = 100_000_000_000
 """Samples a second of a logic analyser, at most."""
+MOST_TICKS = 1 << 62
 MOST_UNPACKED = 1 << 40
 """Bytes that a session may unpack to: 12 h of a byte at 24 MHz."""
 BLOCK = 1 << 22
@@ -83,8 +84,9 @@ class _Vcd:
                     rows.append(level.astype(np.float32))
                     changed = False
                 after = token.data * self._up // self._down
-                if after < now:
-                    raise BenchError(f"{self._path}: time goes back at #{token.data} (line {token.span.start.line})")
+                if not now <= after < MOST_TICKS:
+                    wrong = "goes back" if after < now else "is beyond all clocks"
+                    raise BenchError(f"{self._path}: time {wrong} at #{token.data} (line {token.span.start.line})")
                 now = after
             elif kind in (self._kind.CHANGE_SCALAR, self._kind.CHANGE_VECTOR):
                 k = of.get(token.data.id_code)
@@ -141,6 +143,8 @@ class _Vcd:
             ids[var.id_code] = name, var.size
 
     def _timescale(self, magnitude: int, unit: str) -> None:
+        if not magnitude:
+            raise BenchError(f"{self._path}: its timescale is 0 {unit}")
         per_s = 10 ** _UNITS[unit]
         self.tick_hz = min(per_s // magnitude if per_s >= magnitude else 1, TICK_HZ)
         self._up, self._down = self.tick_hz * magnitude, per_s
