@@ -21,7 +21,7 @@ from bench.view import last_second, plane, schema
 from bench.view.extent import Extent
 from bench.view.last_second import LastSecond
 from bench.view.plane import Plane
-from bench.view.plots import LEGEND_SHARE, TREND, Line, Plot, plots, returns
+from bench.view.plots import LEGEND_SHARE, TREND, WAVE, Line, Plot, plots, returns
 from bench.view.states import drive_entity
 
 HALL = 0.1  # seconds that the Hall view shows
@@ -46,6 +46,7 @@ def blueprint(
     run: RunInfo,
     marks: Sequence[Mark] = (),
     whole: tuple[int, int] | None = None,
+    close: float = WAVE,
     coarse: bool = False,
     sector: float | None = None,
     extents: Mapping[str, Extent] | None = None,
@@ -53,14 +54,16 @@ def blueprint(
 ) -> rrb.Blueprint:
     """The dashboard of a run; with `marks`, those of an acceptance run over its whole length below the rest.
 
-    `whole`: first and last tick of a recorded run, which the long plots show all of; `coarse`: where samples are mostly
-    left out, so that the others show more than the last moments. `sector`: how long a sector lasts, s, where the speed
-    is known; `extents`: how far the long plots reach, by their key, where that is known;
-    `page`: the one that it opens at, from 0.
+    `whole`: first and last tick of a recorded run, which the long plots show all of; `close`: how much of it the others
+    show, s; `coarse`: where samples are mostly left out, so that those show more than the last moments. `sector`: how
+    long a sector lasts, s, where the speed is known; `extents`: how far the long plots reach, by their key, where that
+    is known; `page`: the one that it opens at, from 0.
     """
     found = plots(run)
     if whole is not None:
-        found = {key: _of_all(plot, coarse, (extents or {}).get(key)) for key, plot in found.items()}
+        found = {
+            key: _of_all(plot, COARSE if coarse else close, (extents or {}).get(key)) for key, plot in found.items()
+        }
     trend = None if whole is None else _ticks(run, *whole)
     states = _lanes(
         f"Drive, last {TREND:g} s" if whole is None else "Drive", drive_entity(run),
@@ -99,7 +102,7 @@ def without_panels(views: Shown, **time: Any) -> rrb.Blueprint:
     return rrb.Blueprint(views, *hidden, rrb.TimePanel(state="collapsed", timeline=schema.TIMELINE, **time))
 
 
-def _of_all(plot: Plot, coarse: bool, extent: Extent | None) -> Plot:
+def _of_all(plot: Plot, close: float, extent: Extent | None) -> Plot:
     """A plot of a recorded run: what is long shows all of it, and says how far it goes."""
     if plot.entity == schema.TREND:
         name = plot.name.rpartition(", min/max, last")[0]
@@ -107,9 +110,7 @@ def _of_all(plot: Plot, coarse: bool, extent: Extent | None) -> Plot:
             return replace(plot, name=name)
         return replace(plot, name=f"{name}, {extent.words}", y_range=extent.shown or plot.y_range,
                        marked=extent.shown is not None)  # fmt: skip
-    if coarse:
-        return replace(plot, name=f"{plot.name.rpartition(', last')[0]}, last {COARSE:g} s", seconds=COARSE)
-    return plot
+    return replace(plot, name=f"{plot.name.rpartition(', last')[0]}, last {close:.2g} s", seconds=close)
 
 
 def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None = None) -> list[Shown]:

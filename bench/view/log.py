@@ -532,11 +532,9 @@ def _band(table: pa.Table, name: str) -> NDArray[Any]:
 
 def identity_text(run: RunInfo) -> str:
     """What is running, and what of it is not shown."""
-    rows: list[tuple[str, object]] = [
-        ("started", run.started),
-        ("tick rate", f"{run.tick_hz / 1e6:g} MHz"),
-        ("PWM", f"{run.pwm_hz / 1e3:g} kHz"),
-    ]
+    rows: list[tuple[str, object]] = [("started", run.started)] if run.started else []
+    if "imported" not in run.identity:
+        rows += [("tick rate", f"{run.tick_hz / 1e6:g} MHz"), ("PWM", f"{run.pwm_hz / 1e3:g} kHz")]
     rows += [(key, told(value)) for key, value in run.identity.items()]
     rows += [("not shown", why) for why in left_out(run)]
     return markdown.table(("what is tested", ""), rows)

@@ -34,6 +34,8 @@ BUS = "DC link and voltage vector [V]"
 LIMIT_COLOUR: RGB = (200, 196, 190)
 Range = tuple[float, float] | None
 LINES = 8  # of a plot by unit: not more than there are spare colours
+ALONE = 16  # channels without a unit, of which nobody knows whether they compare: so many have a plot each
+POINTS = 200  # of a line that a plot of the last moments of a recording shows at least
 
 
 @dataclass(frozen=True)
@@ -206,11 +208,13 @@ def _by_unit(run: RunInfo, channels: Iterable[AnyChannel]) -> dict[str, Plot]:
         units.setdefault(channel.unit.symbol, []).append(channel.name)
     found: dict[str, Plot] = {}
     for unit, names in units.items():
-        parts = [names[start : start + LINES] for start in range(0, len(names), LINES)]
+        together = LINES if unit or len(names) > ALONE else 1
+        parts = [names[start : start + together] for start in range(0, len(names), together)]
         for number, part in enumerate(parts, 1):
             lines = _values(run, part)
             of = f" {number} of {len(parts)}" if len(parts) > 1 else ""
-            name = f"{QUANTITIES.get(unit, OTHER)}{of} [{unit or '–'}]"
+            what = part[0] if together == 1 else f"{QUANTITIES.get(unit, OTHER)}{of}"
+            name = f"{what} [{unit or '–'}]"
             both = (_trend(name, lines, by_unit=True, about_zero=False), _wave(name, lines, by_unit=True))
             found |= {plot.name: plot for plot in both}
     return found

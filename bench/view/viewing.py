@@ -20,22 +20,22 @@ from bench.device.losses import Continuity, LossAccount
 from bench.errors import RecordingError
 from bench.files import part_of
 from bench.record.info import RunInfo
-from bench.record.layout import EDGES, numbers
+from bench.record.layout import EDGES, SAMPLES, numbers
 from bench.record.overview import BIN, coarser
 from bench.record.reader import Run, Segment, overviews
 from bench.signal.chunks import BEGIN, END, between
 from bench.view import dashboard, schema
 from bench.view.blocks import Block, lost_components
 from bench.view.log import RunLog
-from bench.view.plots import plots
+from bench.view.plots import POINTS, WAVE, plots
 from bench.view.sinks import abandon, new_stream
 from protocol.host import DeviceEventReceived
 from protocol.messages import EventCode
 
-WINDOW = 0.05  # s that go to rerun in one piece
+WINDOW = 0.05  # s that go to rerun in one piece; of slow samples as many as there are of fast ones
 LOT = 0.25  # s of signal a message; with longer ones a file is half as large again
 LOT_BROWSER = 2.0  # the same for a browser: without a GPU it draws a frame in seconds, and reads few messages a frame
-CLOSE = 60.0  # s that are shown sample by sample
+CLOSE, MOST_SAMPLES = 60.0, 200_000  # s, or samples if they are no more, that are shown one by one
 AROUND = 0.5  # s before and after a fault or a mark that are, in a longer run
 MOST_CLOSE = 30  # of those
 BINS = 36_000  # that a long run is shown as, at most: half an hour of 50 ms
@@ -62,8 +62,9 @@ def write_rrd(run: Run, path: Path, first: int = BEGIN, last: int = END, page: i
     with rrd_file(path, run.info) as stream:
         whole = (max(first, run.span[0]), min(last, run.span[1])) if run.segments else None
         sector = None if whole is None else sector_time(run, *whole)
+        shown = run.info, run.marks, whole, close_time(run), near is not None, sector
         # a viewer that reads along needs a layout now; how far the plots reach is known when all has been read
-        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, page=page))
+        stream.send_blueprint(dashboard.blueprint(*shown, page=page))
         log = RunLog(stream, run.info, lot)
         log.start()
         show(run, log, first, last, near)
@@ -71,7 +72,7 @@ def write_rrd(run: Run, path: Path, first: int = BEGIN, last: int = END, page: i
         assert log.extents is not None
         found = {key: log.extents.of(plot) for key, plot in plots(run.info).items() if plot.entity == schema.TREND}
         extents = {key: extent for key, extent in found.items() if extent is not None}
-        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, extents, page))
+        stream.send_blueprint(dashboard.blueprint(*shown, extents, page))
 
 
 @contextmanager
@@ -118,6 +119,14 @@ def sector_time(run: Run, first: int, last: int) -> float | None:
     return None
 
 
+def close_time(run: Run) -> float:
+    """How much of a run the plots of its last moments show, s: so much that there is something to see."""
+    if SAMPLES not in run.names:
+        return WAVE
+    config = run.config(SAMPLES)
+    return max(WAVE, POINTS * config.decimation / config.pwm_hz)
+
+
 def closeups(run: Run, first: int, last: int, and_end: bool = False) -> list[Span] | None:
     """What of the ticks `first` to `last` of a long run is shown sample by sample: what is near a fault or a mark.
 
@@ -127,7 +136,10 @@ def closeups(run: Run, first: int, last: int, and_end: bool = False) -> list[Spa
     """
     second = run.info.tick_hz
     lengths = [min(last, segment.span[1]) - max(first, segment.span[0]) for segment in run.segments]
-    if sum(max(0, length) for length in lengths) <= CLOSE * second:
+    if (
+        sum(max(0, length) for length in lengths) <= CLOSE * second
+        or 0 < run.rows(SAMPLES, first, last) <= MOST_SAMPLES
+    ):
         return None
     faults = [event.tick for event in run.events if event.code == EventCode.FAULT]
     ticks = sorted({*faults, *(mark.first_tick for mark in run.marks)})
@@ -214,7 +226,7 @@ def _parts(run: Run, first: int, last: int) -> Iterator[tuple[Segment, int, int]
 
 def _windows(run: Run, segment: Segment, begin: int, end: int) -> Iterator[list[Chunk]]:
     """The samples and edges of a segment, a window at a time."""
-    step = round(WINDOW * run.info.tick_hz)
+    step = round(WINDOW * close_time(run) / WAVE * run.info.tick_hz)
     waiting = {name: segment.pieces(name, begin, end) for name in run.names}
     held: dict[str, Chunk | None] = {name: next(pieces, None) for name, pieces in waiting.items()}
     for at in range(begin, end + 1, step):

@@ -68,7 +68,7 @@ def test_a_drive_of_a_vocabulary_of_its_own() -> None:
         ("Voltages [V]", ["v_bus"]),
         ("Speeds [rad/s]", ["w_target", "w_meas"]),
         ("Angles [rad]", ["pos_e"]),
-        ("Other channels [–]", ["temp_fet"]),
+        ("temp_fet [–]", ["temp_fet"]),
         ("Torques [N·m]", ["torque"]),
     ]
     assert shown == [(f"{name}, {span}", of) for name, of in lines for span in ("min/max, last 25 s", "last 0.2 s")]
@@ -88,6 +88,14 @@ def test_hundreds_of_channels_are_spread_over_plots_of_lines_that_differ_in_colo
     assert max(len(plot.lines) for plot in shown) <= 10
     assert [plot.name for plot in shown if len({line.colour for line in plot.lines}) < len(plot.lines)] == []
     assert shown[2].name.startswith("Voltages 2 of ")
+
+
+def test_channels_without_a_unit_are_compared_only_where_there_are_many() -> None:
+    for count, lines in ((16, {1}), (17, {8, 1})):
+        channels = tuple(Channel(k, f"x{k}", Unit.NONE, RawType.F32, 1.0, Flag.CHANNEL) for k in range(count))
+        shown = plots(synthetic.run_info(channels=channels)).values()
+        assert {len(plot.lines) for plot in shown} == lines
+        assert len({plot.name for plot in shown}) == len(shown) == 2 * (16 if count == 16 else 3)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +132,7 @@ def test_a_known_name_with_another_unit_is_plotted_by_its_unit() -> None:
     volts = Channel(1, "i_d", Unit.V, RawType.I16, 1.0, Flag.CHANNEL)
     word = Channel(2, "status", Unit.NONE, RawType.F32, 1.0, Flag.CHANNEL)
     run = synthetic.run_info(channels=(volts, word))
-    assert [plot.name.split(",")[0] for plot in plots(run).values()][::2] == ["Voltages [V]", "Other channels [–]"]
+    assert [plot.name.split(",")[0] for plot in plots(run).values()][::2] == ["Voltages [V]", "status [–]"]
     assert run.words == set()
 
 

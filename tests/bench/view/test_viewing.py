@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
+from made_runs import make
 from rerun.chunk import RrdReader
 
 from bench.errors import BenchError
@@ -19,7 +20,7 @@ from bench.record.reader import Run
 from bench.record.times import ticks_of
 from bench.record.writer import RunWriter
 from bench.view import schema
-from bench.view.viewing import LOT_BROWSER, write_rrd
+from bench.view.viewing import LOT_BROWSER, close_time, write_rrd
 from protocol.host import DeviceEventReceived
 from protocol.messages import DeviceEvent, EventCode
 from protocol.streams import Gap, SampleChunk
@@ -83,6 +84,16 @@ def test_a_part_is_shown_sample_by_sample(long: tuple[Path, np.ndarray], tmp_pat
     _, current = shown(tmp_path / "part.rrd", schema.value_component("i_a"))
     of = slice(round(59.5 * synthetic.PWM_HZ), round(60.5 * synthetic.PWM_HZ) + 1)
     np.testing.assert_allclose(current, counts[of] * CONFIG.channel("i_a").scale, atol=1e-6)
+
+
+def test_a_slow_recording_is_shown_sample_by_sample_over_so_long_that_there_is_something_to_see(tmp_path: Path) -> None:
+    u_dc = np.linspace(20.0, 30.0, 6_000)
+    slow = Run(make(tmp_path / "slow.run", {"u_dc": u_dc}, decimation=1_600))  # 10 min, 10 Hz
+    assert close_time(slow) == pytest.approx(20.0)
+    write_rrd(slow, tmp_path / "slow.rrd")
+    at, values = shown(tmp_path / "slow.rrd", schema.value_component("u_dc"))
+    assert np.allclose(np.diff(at), 0.1)
+    assert np.allclose(values, u_dc)
 
 
 def test_a_part_that_there_is_not_is_refused_with_what_there_is(long: tuple[Path, np.ndarray]) -> None:
