@@ -40,6 +40,13 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|Inf|INF|i
 _COMMA_NUMBER = re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?")
 _ZONE = re.compile(r":\d\d(\.\d+)?(Z|[+-]\d\d:?\d\d)$")
+_RATE = re.compile(r"sampl\w*[ _]*rate", re.IGNORECASE)
+_STEP = re.compile(r"(?:sampl\w*[ _]*(?:interval|period)|increment|time[ _]*base[ _]*step|^dt)\b", re.IGNORECASE)
+_FIGURE = re.compile(r"(?<![\w.])[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_UNIT_OF = re.compile(r"([kKMG]?)(?:Hz|Sa?/s)|(?<![A-Za-z/])([mµun]?)s\b")
+_COUNTS = ("sequence", "counter")
+"""What stands in place of a unit where a column counts rows."""
+_UNIT = {"k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9, "m": 1e-3, "µ": 1e-6, "u": 1e-6, "n": 1e-9}
 _CLOCK = re.compile(r"\d\d:\d\d:\d\d(\.\d{1,9})?")
 
 
@@ -58,6 +65,8 @@ class Written:
     """number, integer, bool, date, zoned date, clock, text or empty, of each column."""
     rows: tuple[tuple[str, ...], ...]
     """Some of the first ones."""
+    rate: float
+    """Rows a second that the lines above tell; 0 where they do not."""
 
     @property
     def squeeze(self) -> bool:
@@ -94,8 +103,13 @@ class CsvFile:
                              "right? (--separator, --decimal)")  # fmt: skip
         time = time_column(usable, dict(zip(written.names, written.types, strict=True)))
         time = time or _even_column(written, [column.name for column in usable])
+        if written.rate and time and _counts_rows(written, time):
+            self.left_out.append(f"{printable(time)}: it counts rows")
+            usable, time = tuple(column for column in usable if column.name != time), None
         table = Table("", tuple(_dated(column, time, written) for column in usable), time)
-        return replace(table, held=time is not None and _are_changes(written, time))
+        if time is None:
+            return replace(table, rate=written.rate)
+        return replace(table, held=_are_changes(written, time))
 
     def _long_tables(self) -> tuple[Table, ...]:
         """One for each name."""
@@ -241,7 +255,9 @@ def written(path: Path, told: Text) -> Written:
     if not values:
         raise BenchError(f"{path}: no line has numbers: is the separator right? (--separator, --decimal)")
     types = tuple(_usual_kind([row[k] for row in values], decimal) for k in range(width))
-    return Written(encoding, separator, decimal, first, names, units, types, tuple(values))
+    return Written(
+        encoding, separator, decimal, first, names, units, types, tuple(values), _rate(rows[:first], decimal)
+    )
 
 
 def _separator(lines: list[str], told: Text) -> tuple[str, str]:
@@ -348,7 +364,7 @@ def _header(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units of the columns."""
     above = [row for row in rows[:first] if any(cell.strip() for cell in row)][-2:]
-    above = [_trimmed(row, width) for row in above]
+    above = _without_start([_trimmed(row, width) for row in above], width)
     units = [""] * width
     names: list[str] = []
     if told:
@@ -357,7 +373,7 @@ def _header(
         names = [*told, *(f"column {k + 1}" for k in range(len(told), width))]
     elif above and len(above[-1]) == width:
         if len(above) == 2 and len(above[0]) == width and _are_units(above[1]):
-            units = [cell.strip().strip("[]()") for cell in above[1]]
+            units = [cell if (cell := word.strip().strip("[]()")).lower() not in _COUNTS else "" for word in above[1]]
             above.pop()
         names = [cell.strip() for cell in above[-1]]
         names[0] = names[0].lstrip("#%; ").strip() or names[0]
@@ -374,6 +390,21 @@ def _header(
     return tuple(found), tuple(unit for _, unit in pairs)
 
 
+def _rate(above: list[list[str]], decimal: str) -> float:
+    """Rows a second, told beside or below a word such as sample rate or increment; 0 for none."""
+    for row, below in pairwise([*above, []]):
+        for k, cell in enumerate(row):
+            word = _RATE.search(cell) or _STEP.search(cell)
+            for beside in (row[k + 1 : k + 3], below[k : k + 1]) if word else ():
+                words = " ".join((cell[word.end() :], *beside)).replace(decimal, ".")  # type: ignore[union-attr]
+                if (found := _FIGURE.search(words)) and (figure := float(found[0])) > 0.0:
+                    unit = _UNIT_OF.search(words)
+                    value = figure * _UNIT.get(unit[1] or unit[2] or "" if unit else "", 1.0)
+                    rate = value if _RATE.search(cell) else 1.0 / value
+                    return rate if 1e-3 < rate < 1e12 else 0.0
+    return 0.0
+
+
 def _trimmed(row: list[str], width: int) -> list[str]:
     """A header without the comment sign before it, and the empty cells behind it."""
     if row and row[0].strip() in ("#", "%", "//") and len(row) == width + 1:
@@ -383,8 +414,14 @@ def _trimmed(row: list[str], width: int) -> list[str]:
     return row
 
 
+def _without_start(above: list[list[str]], width: int) -> list[list[str]]:
+    """The lines above a table without the cells that tell its start and increment, as Rigol's scopes write them."""
+    at = next((k for row in above[:1] for k, cell in enumerate(row) if cell.strip().lower() == "start"), None)
+    return above if at is None else [[*row[:at], *[""] * width][:width] for row in above]
+
+
 def _are_units(row: list[str]) -> bool:
-    cells = [cell.strip().strip("[]()") for cell in row]
+    cells = [cell for word in row if (cell := word.strip().strip("[]()")).lower() not in _COUNTS]
     return (
         any(cells) and all(scale_of(cell) is not None for cell in cells) and not any(cell.isdigit() for cell in cells)
     )
@@ -436,6 +473,14 @@ def _even_column(written: Written, usable: list[str]) -> str | None:
             if len(steps) > 2 and steps.min() > 0.0 and np.ptp(steps) < 0.1 * steps.mean() and steps.mean() != 1.0:
                 even.append(name)
     return even[0] if len(even) == 1 else None
+
+
+def _counts_rows(written: Written, name: str) -> bool:
+    """Whether a column without a unit goes up by 1 from row to row."""
+    k = written.names.index(name)
+    cells = [row[k].strip().replace(written.decimal, ".") for row in written.rows]
+    whole = all(_cell_kind(cell, ".") in ("number", "digits") and float(cell).is_integer() for cell in cells)
+    return not written.units[k] and whole and all(float(b) - float(a) == 1.0 for a, b in pairwise(cells))
 
 
 def _are_changes(written: Written, time: str) -> bool:

@@ -13,7 +13,7 @@ from bench.errors import BenchError, RecordingError
 from bench.files import check_output
 from bench.importer import convert
 from bench.importer.mapping import Mapping as Mapped
-from bench.importer.plan import Plan, plan
+from bench.importer.plan import AS_SECONDS, Plan, plan
 from bench.importer.source import Apart, Source
 from bench.importer.survey import Progress, Survey, survey
 from bench.record.info import RunInfo
@@ -55,6 +55,8 @@ class Prepared:
 
     def _clock(self) -> Iterator[str]:
         when, seen = self.when, self.seen
+        if when.rate == 1.0 and any(AS_SECONDS in note for note in self.plan.notes):
+            yield "warning: the time goes up by 1 from row to row: if it counts rows, give --time '' and --rate HZ"
         if when.main is not None:
             clock = seen.clocks[when.main]
             jitter = clock.jitter / clock.period

@@ -16,6 +16,7 @@ from bench.importer.units import Scale, scale_of
 from protocol.signals import Flag, Unit
 from protocol.text import counted, did_you_mean, printable
 
+AS_SECONDS = "taken as s (--time-unit)"
 MOST = 250
 """Channels of a run."""
 TURNING = (Unit.RAD, Unit.RAD_PER_S)
@@ -190,7 +191,7 @@ def _time(source: Source, table: Table, mapping: Mapped) -> tuple[Table, float, 
         why = f"unit '{word}' is no time" if word else "the file does not say the unit"
         if word:
             raise BenchError(f"time column {table.time}: {why}: give --time-unit s, ms, us or ns")
-        return table, 1.0, f"time column {table.time}: {why}: taken as s (--time-unit)"
+        return table, 1.0, f"time column {table.time}: {why}: {AS_SECONDS}"
     return table, scale.factor, ""
 
 
