@@ -34,7 +34,7 @@ def show_until_closed(file: Path, viewer: str, web_port: int | None, what: str) 
 def command(run: Path, begin: float | None, end: float | None, viewer: str, web_port: int | None) -> None:
     """Open a recorded run, or part of it, in rerun, with the same dashboard as live.
 
-    Up to one minute, or 200,000 samples, is shown sample by sample. A longer part is shown as minima and maxima over
+    Up to one minute, or 60,000 samples, is shown sample by sample. A longer part is shown as minima and maxima over
     50 ms or more, and sample by sample around faults, marks and the end; zoom in with --from and --to. The run may
     still be recording.
 

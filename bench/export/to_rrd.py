@@ -23,4 +23,4 @@ def notes(content: Content) -> list[str]:
     """What is not shown sample by sample."""
     if closeups(content.run, *content.said) is None:
         return []
-    return ["more than a minute is shown as minima and maxima: use --from and --to for up to a minute"]
+    return ["more than a minute, and 60,000 samples, is shown as minima and maxima: use --from and --to for less"]

@@ -35,7 +35,7 @@ from protocol.messages import EventCode
 WINDOW = 0.05  # s that go to rerun in one piece; of slow samples as many as there are of fast ones
 LOT = 0.25  # s of signal a message; with longer ones a file is half as large again
 LOT_BROWSER = 2.0  # the same for a browser: without a GPU it draws a frame in seconds, and reads few messages a frame
-CLOSE, MOST_SAMPLES = 60.0, 200_000  # s, or samples if they are no more, that are shown one by one
+CLOSE, MOST_SAMPLES = 60.0, 60_000  # s, or samples if they are no more, that are shown one by one
 AROUND = 0.5  # s before and after a fault or a mark that are, in a longer run
 MOST_CLOSE = 30  # of those
 BINS = 36_000  # that a long run is shown as, at most: half an hour of 50 ms

@@ -29,6 +29,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from damage import flip
+from made_runs import make
 from processes import ENVIRONMENT, LIMIT
 from scipy.io import loadmat
 
@@ -440,9 +441,11 @@ def test_a_run_of_edges_alone(tmp_path: Path) -> None:
 
 
 def test_more_than_a_minute_in_rerun_is_told_to_be_minima_and_maxima(made: Path, tmp_path: Path) -> None:
-    done = export(Run(made), tmp_path / "x.rrd")
+    long = make(tmp_path / "long.run", {"i_q": np.zeros(70_000)}, decimation=16)  # 70 s
+    done = export(Run(long), tmp_path / "x.rrd")
     assert any("minima and maxima" in words for words in done.notes)
-    assert not export(Run(made), tmp_path / "y.rrd", None, 1002, 1005).notes
+    assert not export(Run(long), tmp_path / "y.rrd", None, 2, 5).notes
+    assert not export(Run(made), tmp_path / "z.rrd").notes  # of some more seconds, but few samples
     assert (tmp_path / "x.rrd").stat().st_size > 10_000
 
 
