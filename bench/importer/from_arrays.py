@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -219,21 +219,40 @@ class _Guarded(Leaves):
             yield from super().batches(wanted)
 
 
+def _try(what: str, path: Path, read: Callable[[Path], Any]) -> None:
+    """Let a process of its own read a file first: a library in C may crash or hang over a damaged one. BenchError."""
+    context: Any = multiprocessing.get_context("fork" if hasattr(os, "fork") else "spawn")
+    trial = context.Process(target=_read, args=(read, path), daemon=True)
+    trial.start()
+    trial.join(TRIAL + path.stat().st_size / TRIAL_RATE)
+    if trial.exitcode is None:
+        trial.kill()
+        trial.join()
+    if trial.exitcode != 0:
+        raise BenchError(f"{path} is no {what} that can be read: it is damaged")
+
+
+def _read(read: Callable[[Path], Any], path: Path) -> None:
+    """In that process; what Python can tell of the file is told later."""
+    with suppress(Exception):
+        read(path)
+    os._exit(0)  # nothing of this program's ends twice
+
+
 # -- MAT ------------------------------------------------------------------------------------------------------------
 
 
 def mat(path: Path) -> Leaves:
     """Variables and the fields of structures; version 7.3 is HDF5."""
-    import scipy.io
-
     errors: tuple[type[Exception], ...] = (Exception,)  # scipy's reader raises what it meets
     size = path.stat().st_size
     if size > available() // 4:
         raise BenchError(f"{path} takes {in_words(size)}, and {in_words(available())} of memory are free: save it as "
                          "version 7.3 (-v7.3), which is read in parts")  # fmt: skip
     with reading(path, "MAT file"):
+        _try("MAT file", path, _loaded)
         try:
-            whole = scipy.io.loadmat(path, simplify_cells=True)
+            whole = _loaded(path)
         except NotImplementedError:
             return hdf5(path, "mat")
         except OSError:
@@ -244,6 +263,12 @@ def mat(path: Path) -> Leaves:
     units = whole.pop("units", {})
     _walk("", {name: value for name, value in whole.items() if not name.startswith("__")}, units, found)
     return _Guarded(path, "MAT file", errors, "mat", found, [])
+
+
+def _loaded(path: Path) -> Any:
+    import scipy.io
+
+    return scipy.io.loadmat(path, simplify_cells=True)
 
 
 def _walk(parent: str, values: Mapping[str, Any], units: Any, found: list[Leaf]) -> None:
@@ -259,32 +284,18 @@ def _walk(parent: str, values: Mapping[str, Any], units: Any, found: list[Leaf])
 
 
 def hdf5(path: Path, format: str = "hdf5") -> Leaves:
-    """Datasets of all groups, with the unit that an attribute tells.
-
-    The library is written in C, and may crash or hang over a damaged file: a process of its own reads all of it first.
-    """
+    """Datasets of all groups, with the unit that an attribute tells."""
     extra("h5py", "h5py", "an HDF5 file")
     with reading(path, "HDF5 file", *_HDF5):
-        context: Any = multiprocessing.get_context("fork" if hasattr(os, "fork") else "spawn")
-        trial = context.Process(target=_read_hdf5, args=(path,), daemon=True)
-        trial.start()
-        trial.join(TRIAL + path.stat().st_size / TRIAL_RATE)
-        if trial.exitcode is None:
-            trial.kill()
-            trial.join()
-        if trial.exitcode != 0:
-            raise BenchError(f"{path} is no HDF5 file that can be read: it is damaged")
+        _try("HDF5 file", path, _read_hdf5)
         found, left_out = _hdf5_leaves(path)
     return _Guarded(path, "HDF5 file", _HDF5, format, found, left_out)
 
 
 def _read_hdf5(path: Path) -> None:
-    """Read all of a file, in a process of its own; what Python can tell of it is told later."""
-    with suppress(*_HDF5, OSError, MemoryError):
-        for leaf in _hdf5_leaves(path)[0]:
-            for first in range(0, leaf.n, BATCH):
-                leaf.read(first, min(first + BATCH, leaf.n))
-    os._exit(0)  # nothing of this program's ends twice
+    for leaf in _hdf5_leaves(path)[0]:
+        for first in range(0, leaf.n, BATCH):
+            leaf.read(first, min(first + BATCH, leaf.n))
 
 
 def _hdf5_leaves(path: Path) -> tuple[list[Leaf], list[str]]:

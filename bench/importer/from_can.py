@@ -5,8 +5,10 @@ A message is a table; of one that is multiplexed each signal. Values are kept in
 
 from __future__ import annotations
 
+import re
 import struct
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,8 @@ from bench.importer.files import reading, told_by
 from bench.importer.source import Column, Memory, Table
 from protocol.text import counted, printable
 
+_ENDLESS = re.compile(rb"LOBJ.{4}\0{4}", re.DOTALL)
+"""An object of a BLF that says that it has no bytes."""
 ENDINGS = {"asc": ".asc", "blf": ".blf", "candump": ".log", "trc": ".trc"}
 
 
@@ -47,8 +51,17 @@ def log(path: Path, format: str, dbc: Path | None) -> Memory:
         raise BenchError(f"{path}: a CAN log needs a DBC that names its signals: --dbc FILE")
     with reading(dbc, "DBC", cantools.Error, ValueError, KeyError, AttributeError, RecursionError, TypeError):
         database: Any = cantools.database.load_file(dbc)
+
+    class Blf(can.BLFReader):
+        """Of an object of no bytes python-can would look for the next one for ever."""
+
+        def _parse_data(self, data: bytes) -> Iterator[can.Message]:
+            if _ENDLESS.search(data):
+                raise ValueError("an object has no bytes")
+            return super()._parse_data(data)
+
     readers: dict[str, Any] = {
-        "asc": can.ASCReader, "blf": can.BLFReader, "candump": can.CanutilsLogReader, "trc": can.TRCReader,
+        "asc": can.ASCReader, "blf": Blf, "candump": can.CanutilsLogReader, "trc": can.TRCReader,
     }  # fmt: skip
     by_id = {(m.frame_id, m.is_extended_frame): m for m in getattr(database, "messages", ())}
     signals, unknown, wrong = _Signals(), Counter[int](), Counter[str]()

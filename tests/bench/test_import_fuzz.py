@@ -16,6 +16,14 @@ from tests.choice import commit
 
 PROGRAM = Path(import_fuzz.__file__)
 PART, OF_EACH = 4_000, 100_000
+FOUND = (
+    ("digital.csv", 400_095), ("log.jsonl", 54_365), ("log.parquet", 32_989), ("log.npz", 400_035),
+    ("log.npz", 500_067),
+    ("halls.sr", 27_335), ("halls.vcd", 2_509), ("halls.vcd", 24_084), ("halls.vcd", 35_940), ("bus.blf", 22_727),
+)  # fmt: skip
+"""Files over which the import once failed, or did not come to an end."""
+CRASHED = (("log.mat", 3_420),)
+"""Over which a library crashed."""
 
 
 def fuzzed(name: str, seed: int, count: int, limit: float) -> None:
@@ -25,6 +33,17 @@ def fuzzed(name: str, seed: int, count: int, limit: float) -> None:
     assert done.returncode == 0, done.stderr[-2000:]
     told = json.loads(done.stdout)
     assert told.pop("refused") + told.pop("taken", 0) == count, told
+
+
+@pytest.mark.parametrize(("name", "seed"), FOUND)
+def test_what_failed_once_does_not_again(name: str, seed: int) -> None:
+    assert sum(import_fuzz.run(name, seed, 1).values()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "seed"), CRASHED)
+def test_what_crashed_once_does_not_again(name: str, seed: int) -> None:
+    fuzzed(name, seed, 1, 60)
 
 
 @pytest.mark.slow
