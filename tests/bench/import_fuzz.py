@@ -6,7 +6,6 @@ text that is taken, every number is what Python's own parser reads in that line.
 
 from __future__ import annotations
 
-import csv
 import faulthandler
 import gzip
 import io
@@ -126,7 +125,7 @@ def same_as_python_reads(source: Any, path: Path) -> None:
     separator, decimal = source.about["separator"], source.about["decimal"]
     if separator == " " or '"' in text:
         return
-    rows = list(csv.reader(io.StringIO(text), delimiter=separator, quoting=csv.QUOTE_NONE))
+    rows = [line.split(separator) for line in text.splitlines()]
     for batch in source.batches({"": table.names}):
         for values in batch[""].values():
             known = set(np.asarray(values, np.float64)[np.isfinite(np.asarray(values, np.float64))].tolist())
