@@ -400,8 +400,7 @@ def _rate(above: list[list[str]], decimal: str) -> float:
                 if (found := _FIGURE.search(words)) and (figure := float(found[0])) > 0.0:
                     unit = _UNIT_OF.search(words)
                     value = figure * _UNIT.get(unit[1] or unit[2] or "" if unit else "", 1.0)
-                    rate = value if _RATE.search(cell) else 1.0 / value
-                    return rate if 1e-3 < rate < 1e12 else 0.0
+                    return value if _RATE.search(cell) else 1.0 / value
     return 0.0
 
 

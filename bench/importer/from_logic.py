@@ -17,12 +17,10 @@ import numpy as np
 from bench.errors import BenchError
 from bench.importer.files import reading, stream
 from bench.importer.from_arrays import extra
-from bench.importer.source import TICK_HZ, Arrays, Batch, Column, Memory, Table, Wanted
+from bench.importer.source import RATES, TICK_HZ, Arrays, Batch, Column, Memory, Table, Wanted
 from protocol.text import counted, printable
 
 MOST_LINES = 64
-MOST_RATE = 100_000_000_000
-"""Samples a second of a logic analyser, at most."""
 MOST_TICKS = 1 << 62
 MOST_UNPACKED = 1 << 40
 """Bytes that a session may unpack to: 12 h of a byte at 24 MHz."""
@@ -167,7 +165,7 @@ def sigrok(path: Path) -> Memory:
         unit = int(device.get("unitsize", "1"))
         probes = {int(key[5:]) - 1: name for key, name in device.items() if re.fullmatch(r"probe\d+", key)}
         fitting = bool(probes) and min(probes) >= 0 and max(probes) < 8 * unit
-        if not 1 <= rate <= MOST_RATE or unit not in (1, 2, 4, 8) or not fitting:
+        if not 1 <= rate <= RATES[1] or unit not in (1, 2, 4, 8) or not fitting:
             raise BenchError(f"{path}: its metadata do not fit together: {counted(unit, 'byte')} a sample, {rate} Hz, "
                              f"{counted(len(probes), 'line')}")  # fmt: skip
         capture = device.get("capturefile", "logic-1")

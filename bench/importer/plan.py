@@ -11,7 +11,7 @@ from itertools import chain, count
 from bench.errors import BenchError
 from bench.importer.mapping import VOCABULARY, ChannelColumn, HallColumns
 from bench.importer.mapping import Mapping as Mapped
-from bench.importer.source import Column, Source, Table
+from bench.importer.source import RATES, Column, Source, Table
 from bench.importer.units import Scale, scale_of
 from protocol.signals import Flag, Unit
 from protocol.text import counted, did_you_mean, printable
@@ -181,6 +181,8 @@ def _time(source: Source, table: Table, mapping: Mapped) -> tuple[Table, float, 
             table = replace(table, time=there[0], rate=0.0, tick_hz=0 if there[0] != table.time else table.tick_hz)
     elif told.rate_hz and not table.held and not table.rate and table.time is None:
         table = replace(table, rate=told.rate_hz)
+    if table.rate and not RATES[0] <= table.rate <= RATES[1]:
+        raise BenchError(f"{_of(table)}{table.rate:g} rows a second are no rate: give --time '' and --rate HZ")
     if table.time is None or table.tick_hz:
         return table, 1.0 / table.tick_hz if table.tick_hz else 1.0, ""
     unit = next(column.unit for column in table.columns if column.name == table.time)

@@ -17,6 +17,8 @@ from protocol.text import printable
 
 BATCH = 65_536
 """Rows that are handed out at once, at most."""
+RATES = 1e-3, 1e11
+"""Rows a second that a file may tell, least and most."""
 TICK_HZ = 1_000_000_000
 """Ticks a second of a time that the file has not in ticks of its own."""
 Arrays = dict[str, NDArray[Any]]

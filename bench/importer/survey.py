@@ -251,8 +251,7 @@ def ticks_of(table: Table, columns: Arrays, row: int, factor: float, tick_hz: in
     if table.time is None:
         at = np.arange(row, row + n, dtype=np.int64)
         rate = Fraction(table.rate).limit_denominator(1000)
-        ticks = at * (tick_hz * rate.denominator) // rate.numerator
-        return ticks, np.ones(n, bool)
+        return _scaled(at, tick_hz * rate.denominator, rate.numerator), np.ones(n, bool)
     values = numbers(columns[table.time])
     if values.dtype.kind in "iu":
         if table.tick_hz:

@@ -6,6 +6,7 @@ The oracles are the arrays that the file was made of.
 from __future__ import annotations
 
 from contextlib import nullcontext
+from fractions import Fraction
 from pathlib import Path
 
 import imports_made as made
@@ -15,6 +16,8 @@ import pytest
 
 import bench
 from bench.cli import main
+from bench.importer.source import Table
+from bench.importer.survey import ticks_of
 from tests.tools import needs
 
 MAP = {"--unit": [f"{name}={unit}" for name, unit in made.UNITS.items() if unit and name != "t"]}
@@ -120,3 +123,13 @@ def test_a_log_of_a_bus_with_its_dbc(tmp_path: Path, name: str) -> None:
     assert np.abs(error).max() < np.radians(0.006)
     every = run["i_a"][::10]
     assert np.nanmax(np.abs(every - table["i_a"][at][::10] * 1e-3)) < 0.6e-3
+
+
+@pytest.mark.parametrize(
+    ("rate", "rows"), [(47_952.047952, 10**7), (30_000.0, 10**9), (0.001, 10**6), (1e11 / 3, 10**9)]
+)
+def test_times_by_a_rate_are_exact_however_many_rows_there_are(rate: float, rows: int) -> None:
+    exact, tick_hz = Fraction(rate).limit_denominator(1000), 2_000_000_000
+    for row in (0, rows):
+        ticks, _ = ticks_of(Table("", (), None, rate), {"a": np.zeros(3)}, row, 1.0, tick_hz, 0.0)
+        assert [abs(int(tick) - k * tick_hz / exact) <= 0.5 for k, tick in enumerate(ticks, row)] == [True] * 3

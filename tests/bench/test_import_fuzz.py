@@ -20,6 +20,7 @@ FOUND = (
     ("digital.csv", 400_095), ("log.jsonl", 54_365), ("log.parquet", 32_989), ("log.npz", 400_035),
     ("log.npz", 500_067),
     ("halls.sr", 27_335), ("halls.vcd", 2_509), ("halls.vcd", 24_084), ("halls.vcd", 35_940), ("bus.blf", 22_727),
+    ("log.tdms", 73_411), ("log.tdms", 77_608),
 )  # fmt: skip
 """Files over which the import once failed, or did not come to an end."""
 CRASHED = (("log.mat", 3_420),)
