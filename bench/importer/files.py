@@ -57,13 +57,8 @@ def told_by(library: str, into: list[str]) -> Iterator[None]:
 
     Of one that does not come to an end with logging, a ValueError is raised.
     """
-    hook, sink = sys.unraisablehook, _Sink()
-
-    def quiet(told: Any) -> None:
-        if not (getattr(told.object, "__module__", None) or "").startswith(library):
-            hook(told)
-
-    sys.unraisablehook = quiet
+    sink = _Sink()
+    _throw_away_quietly(library)
     named = [
         logging.getLogger(name) for name in [library, *logging.Logger.manager.loggerDict] if name.startswith(library)
     ]
@@ -75,6 +70,22 @@ def told_by(library: str, into: list[str]) -> Iterator[None]:
     finally:
         into += [f"{library}: {words}" for words in dict.fromkeys(sink.words)][:MOST_WORDS]
         sink.words.clear()
+
+
+def _throw_away_quietly(library: str) -> None:
+    """From now on: what a library has half made may be thrown away at any time later."""
+    hook = sys.unraisablehook
+    libraries: set[str] | None = getattr(hook, "libraries", None)
+    if libraries is not None:
+        libraries.add(library)
+        return
+
+    def quiet(told: Any) -> None:
+        if not (getattr(told.object, "__module__", None) or "").startswith(tuple(quiet.libraries)):  # type: ignore[attr-defined]
+            hook(told)
+
+    quiet.libraries = {library}  # type: ignore[attr-defined]
+    sys.unraisablehook = quiet
 
 
 class _Sink(logging.Handler):

@@ -26,7 +26,7 @@ from bench.record.memory import available, in_words
 from protocol.text import printable
 
 RECORDS = 1 << 18
-"""Of an MDF group that are read at once: it is looked through anew for each channel."""
+"""Of an MDF group that are read at once."""
 WIDE = 64
 """Columns of a matrix, at most, that become channels each."""
 
@@ -363,8 +363,10 @@ class MdfFile:
     format = "mdf4"
     together = False
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, tried: bool = False) -> None:
         asammdf = extra("asammdf", "asammdf", "an MDF file")
+        if not tried:
+            _try("MDF file", path, _read_mdf)
         self._path = path
         self.left_out: list[str] = []
         with reading(path, "MDF file", Exception), told_by("asammdf", self.left_out):  # it raises what it meets
@@ -395,12 +397,14 @@ class MdfFile:
             for k, channel in enumerate(group.channels):
                 if k == master:
                     continue
-                one = self._signal(group=number, index=k, record_offset=0, record_count=1)
+                one = _physical(self._mdf.get(group=number, index=k, raw=True, record_offset=0, record_count=1))
                 if one.samples.dtype.kind not in "iufb" or one.samples.ndim != 1:
                     self.left_out.append(f"{printable(channel.name)}: no number")
                     continue
                 name = channel.name if channel.name not in (time, *columns) else f"{channel.name} ({k})"
                 columns[name], units[name] = k, one.unit or ""
+            if not columns:
+                continue
             name = group.channel_group.acq_name or f"group {number}"
             if name in self._where:
                 name = f"{name} {number}"
@@ -416,24 +420,36 @@ class MdfFile:
             names = [name for name in wanted[table.name] if name != table.time]
             for first in range(0, n, RECORDS):
                 with reading(self._path, "MDF file", Exception), told_by("asammdf", self.left_out):
-                    part = {"group": number, "record_offset": first, "record_count": min(RECORDS, n - first)}
                     found: Arrays = {}
-                    for name in names or list(columns)[:1]:
-                        one = self._signal(index=columns[name], **part)
+                    chosen = names or list(columns)[:1]
+                    signals = self._mdf.select([(None, number, columns[name]) for name in chosen], raw=True,
+                                               record_offset=first, record_count=min(RECORDS, n - first))  # fmt: skip
+                    for name, signal in zip(chosen, signals, strict=True):
+                        one = _physical(signal)
                         found[table.time or ""] = one.timestamps
                         if name in names:
                             found[name] = _valid(one)
+                    if len({len(values) for values in found.values()}) > 1:
+                        raise ValueError(f"channels of {printable(table.name)} differ in length")
                 yield {table.name: found}
                 if len(found[table.time or ""]) < min(RECORDS, n - first):
                     break  # the file ends before it said
 
-    def _signal(self, **where: int) -> Any:
-        """Physical values; numbers where the file has words for them."""
-        return self._mdf.get(raw=True, **where).physical(ignore_value2text_conversions=True)
-
     def line(self, table: str, row: int) -> str:
         """See `Source`."""
         return f"in record {row + 1} of {printable(table)}"
+
+
+def _read_mdf(path: Path) -> None:
+    file = MdfFile(path, tried=True)
+    for table in file.tables:
+        for _ in file.batches({table.name: table.names}):
+            pass
+
+
+def _physical(signal: Any) -> Any:
+    """A signal with values in its unit; numbers where the file has words for them."""
+    return signal.physical(ignore_value2text_conversions=True)
 
 
 def _valid(signal: Any) -> NDArray[Any]:
