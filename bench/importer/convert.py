@@ -153,13 +153,17 @@ class _Rows:
         """Ticks from row to row, from which on rows are missing between them."""
 
     def add(self, columns: Arrays) -> None:
-        """Take more rows."""
+        """Take more rows. BenchError if they cannot be those of the survey."""
         ticks, known = ticks_of(
             self._table, columns, self._row, self._factor, self._seen.tick_hz, self._seen.origin
         )  # fmt: skip
         self._row += len(ticks)
+        steps = np.diff(ticks[known], prepend=self._last)
+        clock = self._seen.clocks[self.name]
+        if self._row > clock.rows + clock.untimed or (steps < 0).any():
+            raise BenchError("it is not what it was when it was looked at: is it still written to, or is it damaged?")
         fresh = known.copy()
-        fresh[known] = np.diff(ticks[known], prepend=self._last) > 0
+        fresh[known] = steps > 0
         if self.held:  # of several changes at one time the last one holds
             fresh = known & np.r_[ticks[1:] != ticks[:-1], True]
             if len(self.ticks) and len(ticks) and ticks[0] == self.ticks[-1]:

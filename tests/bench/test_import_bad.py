@@ -18,6 +18,10 @@ from processes import ENVIRONMENT
 import bench
 from bench.cli import main
 from bench.errors import BenchError
+from bench.importer.guess import complete
+from bench.importer.importer import prepare, write
+from bench.importer.mapping import Mapping
+from bench.importer.opened import opened
 
 T = np.arange(200) / 1000.0
 
@@ -222,6 +226,17 @@ def peak(file: Path, *options: str) -> int:
     done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     return int(done.stdout.split()[-1])
+
+
+@pytest.mark.parametrize(("kept", "more"), [(201, "1,2\n"), (200, "0.1,2\n")], ids=["grows", "goes back"])
+def test_a_file_that_is_written_to_while_it_is_read_is_refused(kept: int, more: str, tmp_path: Path) -> None:
+    file = text(tmp_path / "a.csv", time=T, a=T)
+    source = opened(file, Mapping(), None)
+    prepared = prepare(source, complete(source, Mapping()).mapping)
+    file.write_text("".join(file.read_text().splitlines(keepends=True)[:kept]) + more)
+    with pytest.raises(BenchError, match="it is not what it was when it was looked at"):
+        write(prepared, file, tmp_path / "a.run")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
 
 def test_arrays_that_do_not_fit_together() -> None:
