@@ -148,6 +148,7 @@ class _Rows:
         self.columns: Arrays = {}
         self.reached, self._row, self._last = -_END, 0, -_END
         clock = seen.clocks[name]
+        self._rows = clock.rows + clock.untimed
         self.held = self._table.held
         self.gap = _END if self.held else math.ceil((GAP if clock.regular else HELD_OVER) * clock.period)
         """Ticks from row to row, from which on rows are missing between them."""
@@ -159,9 +160,7 @@ class _Rows:
         )  # fmt: skip
         self._row += len(ticks)
         steps = np.diff(ticks[known], prepend=self._last)
-        clock = self._seen.clocks[self.name]
-        if self._row > clock.rows + clock.untimed or (steps < 0).any():
-            raise BenchError("it is not what it was when it was looked at: is it still written to, or is it damaged?")
+        _require_as_seen(bool((steps >= 0).all() and not (ticks[known] < 0).any() and self._row <= self._rows))
         fresh = known.copy()
         fresh[known] = steps > 0
         if self.held:  # of several changes at one time the last one holds
@@ -178,6 +177,10 @@ class _Rows:
         self.ticks = np.concatenate([self.ticks, ticks])
         if len(self.ticks):
             self.reached = self._last = int(self.ticks[-1])
+
+    def end(self) -> None:
+        """BenchError unless all rows of the survey have come."""
+        _require_as_seen(self._row == self._rows)
 
     def until(self, horizon: int) -> slice:
         """Those of the rows that lie at it or before."""
@@ -205,6 +208,11 @@ class _Rows:
             known &= exact | ((apart > 0) & (apart < self.gap))
         share = np.where(exact | self.held, 0.0, (grid - self.ticks[before]) / np.maximum(apart, 1))
         return before, after, share, known
+
+
+def _require_as_seen(true: bool) -> None:
+    if not true:
+        raise BenchError("it is not what it was when it was looked at: is it still written to, or is it damaged?")
 
 
 def blocks(source: Source, plan: Plan, tables: Mapping[str, _Rows]) -> Iterator[int]:
@@ -345,6 +353,8 @@ class Converter:
             for rows in tables.values():
                 rows.let_go(horizon)
             progress(f"{self.samples} samples, {self.edges} Hall edges")
+        for rows in tables.values():
+            rows.end()
 
     def _times(self, tables: Mapping[str, _Rows], horizon: int) -> Iterator[tuple[I64, I64]]:
         """Times of samples up to `horizon`, and their index."""
