@@ -222,18 +222,20 @@ class _Guarded(Leaves):
 def _try(what: str, path: Path, read: Callable[[Path], Any]) -> None:
     """Let a process of its own read a file first: a library in C may crash or hang over a damaged one. BenchError."""
     context: Any = multiprocessing.get_context("fork" if hasattr(os, "fork") else "spawn")
-    trial = context.Process(target=_read, args=(read, path), daemon=True)
-    trial.start()
-    trial.join(TRIAL + path.stat().st_size / TRIAL_RATE)
-    if trial.exitcode is None:
-        trial.kill()
-        trial.join()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        trial = context.Process(target=_read, args=(read, path, folder), daemon=True)
+        trial.start()
+        trial.join(TRIAL + path.stat().st_size / TRIAL_RATE)
+        if trial.exitcode is None:
+            trial.kill()
+            trial.join()
     if trial.exitcode != 0:
         raise BenchError(f"{path} is no {what} that can be read: it is damaged")
 
 
-def _read(read: Callable[[Path], Any], path: Path) -> None:
-    """In that process; what Python can tell of the file is told later."""
+def _read(read: Callable[[Path], Any], path: Path, folder: str) -> None:
+    """In that process, whose files are in `folder`; what Python can tell of the file is told later."""
+    tempfile.tempdir = folder
     with suppress(Exception):
         read(path)
     os._exit(0)  # nothing of this program's ends twice
