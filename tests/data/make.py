@@ -9,6 +9,7 @@ became of the simulated drive meanwhile. Make them anew only where an observer i
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import tempfile
@@ -19,7 +20,7 @@ from typing import Any
 
 import bench
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent
 CHANNELS = (
     *("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q"),
     *("theta_enc", "theta_vt", "omega_vt"),
@@ -48,11 +49,9 @@ def reversal(rig: bench.Rig) -> None:
 
 def faulty(config: str, path: Path) -> None:
     """240 r/min forward and reverse: Hall sensors that the drive would trip at by the load machine, others by it."""
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "faulty.toml").write_text(config)
-        with bench.connect(
-            "sim", channels=HALL_CHANNELS, save=path, overwrite=True, config=Path(folder) / "faulty.toml"
-        ) as rig:
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # no path of this machine is recorded
+        Path("faulty.toml").write_text(config)
+        with bench.connect("sim", channels=HALL_CHANNELS, save=path, overwrite=True, config="faulty.toml") as rig:
             turning: Any = rig.load if "hall_" in config and "glitch" not in config else rig.drive
             if turning is rig.drive:
                 rig.drive.start("vector-tracking" if "encoder" in config else "encoder")
