@@ -56,7 +56,7 @@ def _unit(text: Any) -> tuple[str, str]:
 @click.option("--time", "time_", metavar="COLUMN", help="Column of the time; '' for none.")
 @click.option("--time-unit", metavar="UNIT", help="Its unit: s, ms, us, ns.")
 @click.option("--rate", metavar="HZ", type=Number(above=0),
-              help="Rows a second, where no column is the time; else samples a second to make.")  # fmt: skip
+              help="Rows a second, where FILE tells no time; else samples a second to make.")  # fmt: skip
 @click.option("--hall", metavar="A,B,C|COLUMN", help="Columns of Hall sensors a, b, c, or the one with their code.")
 @click.option("--threshold", metavar="V", type=Number(), help="Of Hall lines that are voltages [default: half way].")
 @click.option("--channel", "channels", metavar="NAME=COLUMN[:UNIT]", multiple=True, type=_channel,

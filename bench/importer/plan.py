@@ -179,7 +179,7 @@ def _time(source: Source, table: Table, mapping: Mapped) -> tuple[Table, float, 
             find(source, told.column, "time")
         if there:
             table = replace(table, time=there[0], rate=0.0, tick_hz=0 if there[0] != table.time else table.tick_hz)
-    elif told.rate_hz and not table.held and table.time is None and (not table.rate or len(source.tables) == 1):
+    elif told.rate_hz and not table.held and not table.rate and table.time is None:
         table = replace(table, rate=told.rate_hz)
     if table.rate and not RATES[0] <= table.rate <= RATES[1]:
         raise BenchError(f"{_of(table)}{table.rate:g} rows a second are no rate: give --time '' and --rate HZ")

@@ -280,8 +280,8 @@ def test_a_time_that_counts_is_doubted(tmp_path: Path, capsys: pytest.CaptureFix
         assert ("if it counts rows, give --time '' and --rate HZ" in capsys.readouterr().err) is doubted
 
 
-def test_a_rate_that_is_given_counts_more_than_the_one_above_the_table(tmp_path: Path) -> None:
+def test_a_rate_counts_more_than_the_one_above_the_table_where_the_times_are_said_to_be_none(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(SCOPES["Rigol"])
-    run = imported(tmp_path / "a.csv", "--rate", "4000")
+    run = imported(tmp_path / "a.csv", "--time", "", "--rate", "4000")
     assert np.diff(run.t) == pytest.approx([2.5e-4] * 3)
     assert run["CH1"] == pytest.approx([1.0, 1.5, 2.0, 0.0])
