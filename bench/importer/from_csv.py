@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -24,7 +25,8 @@ from bench.errors import BenchError
 from bench.importer.files import HEAD, Utf8, encoding_of, head, reading, stream
 from bench.importer.mapping import Text
 from bench.importer.source import Batch, Column, Table, Wanted, time_column
-from bench.importer.units import scale_of, split
+from bench.importer.units import quantity, scale_of, split
+from protocol.signals import Unit
 from protocol.text import counted, printable
 
 SEPARATORS = (",", ";", "\t", "|", " ")
@@ -40,13 +42,13 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|Inf|INF|i
 _COMMA_NUMBER = re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?")
 _ZONE = re.compile(r":\d\d(\.\d+)?(Z|[+-]\d\d:?\d\d)$")
-_RATE = re.compile(r"sampl\w*[ _]*rate", re.IGNORECASE)
-_STEP = re.compile(r"(?:sampl\w*[ _]*(?:interval|period)|increment|time[ _]*base[ _]*step|^dt)\b", re.IGNORECASE)
-_FIGURE = re.compile(r"(?<![\w.])[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-_UNIT_OF = re.compile(r"([kKMG]?)(?:Hz|Sa?/s)|(?<![A-Za-z/])([mµun]?)s\b")
+_RATE = re.compile(
+    r"(?:(sampl\w*[ _]*rate)|\b(?:sampl\w*[ _]*(?:interval|period)|increment|time[ _]*base[ _]*step)|^dt)\b"
+    r"\s*(?:[\[(]([^\])]*)[\])])?\s*[:=]?(.*)",
+    re.IGNORECASE | re.DOTALL,
+)
 _COUNTS = ("sequence", "counter")
 """What stands in place of a unit where a column counts rows."""
-_UNIT = {"k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9, "m": 1e-3, "µ": 1e-6, "u": 1e-6, "n": 1e-9}
 _CLOCK = re.compile(r"\d\d:\d\d:\d\d(\.\d{1,9})?")
 
 
@@ -391,16 +393,18 @@ def _header(
 
 
 def _rate(above: list[list[str]], decimal: str) -> float:
-    """Rows a second, told beside or below a word such as sample rate or increment; 0 for none."""
+    """Rows a second, told behind, beside or below words such as sample rate or increment; 0 for none."""
+    above = [row for row in above if any(cell.strip() for cell in row)]
     for row, below in pairwise([*above, []]):
         for k, cell in enumerate(row):
-            word = _RATE.search(cell) or _STEP.search(cell)
-            for beside in (row[k + 1 : k + 3], below[k : k + 1]) if word else ():
-                words = " ".join((cell[word.end() :], *beside)).replace(decimal, ".")  # type: ignore[union-attr]
-                if (found := _FIGURE.search(words)) and (figure := float(found[0])) > 0.0:
-                    unit = _UNIT_OF.search(words)
-                    value = figure * _UNIT.get(unit[1] or unit[2] or "" if unit else "", 1.0)
-                    return value if _RATE.search(cell) else 1.0 / value
+            if not (told := _RATE.search(cell)):
+                continue
+            beside = row[k + 1 : k + 3] if row is not above[-1] else []  # the last line may have names
+            places = [told[3]] if told[3].strip() else [" ".join(beside), *below[k : k + 1]]
+            for place in places:
+                value = quantity(place.replace(decimal, "."), Unit.HZ if told[1] else Unit.S, told[2] or "")
+                if value and 0.0 < value < math.inf:
+                    return value if told[1] else 1.0 / value
     return 0.0
 
 
@@ -415,7 +419,8 @@ def _trimmed(row: list[str], width: int) -> list[str]:
 
 def _without_start(above: list[list[str]], width: int) -> list[list[str]]:
     """The lines above a table without the cells that tell its start and increment, as Rigol's scopes write them."""
-    at = next((k for row in above[:1] for k, cell in enumerate(row) if cell.strip().lower() == "start"), None)
+    words = [cell.strip().lower() for row in above[:1] for cell in row]
+    at = next((k for k, pair in enumerate(pairwise(words)) if pair == ("start", "increment")), None)
     return above if at is None else [[*row[:at], *[""] * width][:width] for row in above]
 
 

@@ -18,6 +18,8 @@ from bench.errors import BenchError
 from bench.importer.files import reading, stream
 from bench.importer.from_arrays import extra
 from bench.importer.source import RATES, TICK_HZ, Arrays, Batch, Column, Memory, Table, Wanted
+from bench.importer.units import quantity
+from protocol.signals import Unit
 from protocol.text import counted, printable
 
 MOST_LINES = 64
@@ -206,10 +208,10 @@ def _changed_words(file: zipfile.ZipFile, members: list[str], dtype: np.dtype[An
 
 
 def _sample_rate(text: str) -> int:
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kMG]?)(?:Hz)?\s*", text)
-    if not found:
+    rate = quantity(text, Unit.HZ)
+    if rate is None:
         raise BenchError(f"sample rate '{printable(text)[:30]}' is none")
-    return round(min(float(found[1]), 1e12) * {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}[found[2]])
+    return round(min(rate, 1e12))
 
 
 # -- moteus ---------------------------------------------------------------------------------------------------------

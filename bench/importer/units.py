@@ -31,7 +31,10 @@ _KNOWN: dict[Unit, dict[str, float]] = {
     Unit.RAD_PER_S2: {"rad/s^2": 1.0, "rad/s2": 1.0},
     Unit.NM: {"Nm": 1.0, "N.m": 1.0, "N*m": 1.0, "mNm": 1e-3, "Ncm": 1e-2, "Nmm": 1e-3},
     Unit.W: {"W": 1.0, "watt": 1.0, "watts": 1.0, "mW": 1e-3, "kW": 1e3},
-    Unit.HZ: {"Hz": 1.0, "kHz": 1e3},
+    Unit.HZ: {
+        "Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9, "Sa/s": 1.0, "kSa/s": 1e3, "MSa/s": 1e6, "GSa/s": 1e9,
+        "S/s": 1.0, "kS/s": 1e3, "MS/s": 1e6, "GS/s": 1e9, "samples/s": 1.0,
+    },
     Unit.OHM: {"Ohm": 1.0, "ohms": 1.0, "mOhm": 1e-3},
     Unit.H: {"H": 1.0, "mH": 1e-3, "uH": 1e-6},
     Unit.VS: {"V*s": 1.0, "Vs": 1.0, "Wb": 1.0, "mWb": 1e-3},
@@ -41,6 +44,7 @@ _KNOWN: dict[Unit, dict[str, float]] = {
     Unit.NONE: {"": 1.0, "-": 1.0, "1": 1.0, "%": 1e-2},
 }  # fmt: skip
 _ELECTRICAL = {"erpm": ("rpm", True), "edeg": ("deg", True), "erad": ("rad", True)}
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?![\d.])\s*(.*)", re.DOTALL)
 _FRAME = re.compile(r"^(mech(?:anical)?\.?|el(?:ec(?:trical)?)?\.?)[ _]+", re.IGNORECASE)
 
 
@@ -75,6 +79,14 @@ for _word, _scale in _EXACT.items():
 for _word in ("mv", "mw", "ma", "c", "h"):  # M and m, C and c are not the same
     if _word not in _EXACT:
         _ANY_CASE.pop(_word, None)
+
+
+def quantity(text: str, unit: Unit, usual: str = "") -> float | None:
+    """`24 MHz` in the SI unit that is wanted; in `usual` where it has no unit. None for what is not of that unit."""
+    found = _QUANTITY.fullmatch(text)
+    word = (found[2].strip() or usual.strip()) if found else ""
+    scale = scale_of(word) if word else Scale(unit, 1.0)
+    return float(found[1]) * scale.factor if found and scale and scale.unit == unit else None
 
 
 def split(header: str) -> tuple[str, str]:
