@@ -231,8 +231,6 @@ class CsvFile:
 def written(path: Path, told: Text) -> Written:
     """How a text is written. Raises BenchError where it is no text in columns."""
     data = head(path)
-    if not data.strip():
-        raise BenchError(f"{path} is empty")
     encoding = told.encoding or encoding_of(data)
     if b"\0" in data and not encoding.startswith("utf-16"):
         raise BenchError(f"{path} is no text: give --format")
@@ -240,7 +238,9 @@ def written(path: Path, told: Text) -> Written:
         text = data.decode(encoding, "replace")
     except LookupError:
         raise BenchError(f"--encoding {encoding}: there is no such encoding") from None
-    lines = text.splitlines()
+    if not text.strip():
+        raise BenchError(f"{path} is empty")
+    lines = list(io.StringIO(text, newline=None))  # ends of lines as pyarrow takes them, and no others
     if len(data) >= HEAD and len(lines) > 1:
         lines.pop()  # it is cut
     if max(map(len, lines)) > HEAD - 16 and len(data) >= HEAD:

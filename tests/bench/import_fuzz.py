@@ -33,8 +33,10 @@ from bench.importer.opened import opened
 from protocol.streams import SampleChunk
 
 ROWS = 40
+SCOPE = "Sample Interval,500,us\nX,CH1,Start,Increment\nSequence,Volt,-6e-3,5e-4\n"
 FORMATS: dict[str, Any] = {
     **made.WIDE, **{name: make for name, (make, _) in made.LOGIC.items()}, **dict.fromkeys(made.CAN, made.can_log),
+    "scope.csv": lambda path: path.write_text(SCOPE + "".join(f"{k},{k % 7 / 4}\n" for k in range(ROWS))),
     "codes.dat": lambda path: path.write_bytes(b"".join(bytes([0x5A, code, 0]) for code in made.columns()["hall"])),
 }  # fmt: skip
 NUMBERS = (
@@ -125,7 +127,7 @@ def same_as_python_reads(source: Any, path: Path) -> None:
     separator, decimal = source.about["separator"], source.about["decimal"]
     if separator == " " or '"' in text:
         return
-    rows = [line.split(separator) for line in text.splitlines()]
+    rows = [line.split(separator) for line in io.StringIO(text, newline=None)]
     for batch in source.batches({"": table.names}):
         for values in batch[""].values():
             known = set(np.asarray(values, np.float64)[np.isfinite(np.asarray(values, np.float64))].tolist())

@@ -62,6 +62,7 @@ TEXTS = {
     "on its side": (b"time," + b",".join(b"%d" % k for k in range(20_000)) + b"\na," + b"1," * 19_999 + b"1\n",
                     "is a row a sample?"),
     "a line without an end": (b"time,a " * 60_000, "a line is longer than"),
+    "blank for Python alone": (b"\x1c\x0b", "is empty"),
     "back, after lines left out": (b"time,a\n" + b"".join(b"%d,1\n" % k for k in range(40)) + b"\n40\n\n41,1\n3,1\n",
                                    "time goes back in line 46: from 41 to 3 s"),
     "a leap": (b"time,A,B,C\n" + b"".join(b"%d,%s\n" % (k, CODES[k % 6]) for k in range(60)) + b"9e6,1,0,0\n",

@@ -17,8 +17,8 @@ from tests.choice import commit
 PROGRAM = Path(import_fuzz.__file__)
 PART, OF_EACH = 4_000, 100_000
 FOUND = (
-    ("digital.csv", 400_095), ("log.jsonl", 54_365), ("log.parquet", 32_989), ("log.npz", 400_035),
-    ("log.npz", 500_067),
+    ("digital.csv", 400_095), ("scope.csv", 12_651), ("log.jsonl", 54_365), ("log.parquet", 32_989),
+    ("log.npz", 400_035), ("log.npz", 500_067),
     ("halls.sr", 27_335), ("halls.vcd", 2_509), ("halls.vcd", 24_084), ("halls.vcd", 35_940), ("bus.blf", 22_727),
     ("log.tdms", 73_411), ("log.tdms", 77_608),
 )  # fmt: skip
@@ -48,7 +48,7 @@ def test_what_crashed_once_does_not_again(name: str, seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.long("twenty formats, each in a process of its own")
+@pytest.mark.long("twenty-one formats, each in a process of its own")
 @pytest.mark.parametrize("name", import_fuzz.FORMATS)
 def test_damaged_files(name: str) -> None:
     fuzzed(name, OF_EACH + int(crc32(commit().encode())), 25, 120)

@@ -325,3 +325,10 @@ def test_columns_are_not_taken_for_what_a_scope_writes_beside_them(tmp_path: Pat
     run = imported(tmp_path / "a.csv")
     assert list(run["start"]) == [1.5, 1.0, 0.0]
     assert list(run["stop"]) == [0.0, 1.0, 2.0]
+
+
+def test_a_line_ends_where_all_readers_end_it(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "a remark\x0cof two\u2028parts\ntime [s],a\n" + "".join(f"{k},{k / 2}\n" for k in range(5))
+    )
+    assert list(imported(tmp_path / "a.csv")["a"]) == [0.0, 0.5, 1.0, 1.5, 2.0]
