@@ -287,27 +287,19 @@ def test_a_rate_counts_more_than_the_one_above_the_table_where_the_times_are_sai
     assert run["CH1"] == pytest.approx([1.0, 1.5, 2.0, 0.0])
 
 
-@pytest.mark.parametrize(
-    ("above", "rate"),
-    [
-        ("Sample Rate (kHz)\n2.5\n\nCH1,CH2", 2500.0),
-        ("Sampling rate: 10 MSa/s\nCH1,CH2", 1e7),
-        ("# sample_rate = 1e4\nCH1,CH2", 1e4),
-        ("Sample Interval [ms],20,,\nCH1,CH2", 50.0),
-        ("Sample Interval,4.0e-10,s\nCH1,CH2", 2.5e9),
-        ("CH1,CH2,Start,Increment\nVolt,Volt,-1,1e-5", 1e5),
-        ("dt,Hall 1", None),
-        ("dt,1", None),
-        ("dt,1\n\n", None),
-        ("increment,CH 2", None),
-        ("Sample rate,,2024-01-02\nCH1,CH2", None),
-        ("Sample rate,12.5 mV\nCH1,CH2", None),
-        ("Sample Interval,1e-320,ns\nCH1,CH2", None),
-        ("Sample Interval,0,s\nCH1,CH2", None),
-        ("Sample Interval,-1,s\nCH1,CH2", None),
-        ("Sample rate,1e999,Hz\nCH1,CH2", None),
-    ],
-)
+ABOVE = {
+    "Sample Rate (kHz)\n2.5\n\nCH1,CH2": 2500.0, "Sampling rate: 10 MSa/s\nCH1,CH2": 1e7,
+    "# sample_rate = 1e4\nCH1,CH2": 1e4, "Sample Interval [ms],20,,\nCH1,CH2": 50.0,
+    "Sample Interval,4.0e-10,s\nCH1,CH2": 2.5e9, "CH1,CH2,Start,Increment\nVolt,Volt,-1,1e-5": 1e5,
+    "dt,Hall 1": None, "dt,1": None, "dt,1\n\n": None, "increment,CH 2": None,
+    "Sample rate,,2024-01-02\nCH1,CH2": None, "Sample rate,12.5 mV\nCH1,CH2": None,
+    "Sample Interval,1e-320,ns\nCH1,CH2": None, "Sample Interval,0,s\nCH1,CH2": None,
+    "Sample Interval,-1,s\nCH1,CH2": None, "Sample rate,1e999,Hz\nCH1,CH2": None,
+}  # fmt: skip
+"""Rows a second by what stands above a table of two columns."""
+
+
+@pytest.mark.parametrize(("above", "rate"), ABOVE.items())
 def test_a_rate_above_a_table_is_one_that_is_told(
     above: str, rate: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
