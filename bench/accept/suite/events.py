@@ -30,11 +30,19 @@ def states(capture: Capture) -> NDArray[np.int64]:
     return capture["status"].astype(np.int64) & STATUS_STATE_MASK
 
 
+def phases(capture: Capture) -> F64 | None:
+    """i_a, i_b and i_c, A, shape (3, n): one that is not streamed is what the others leave; None without two."""
+    there = [name for name in PHASES if name in capture]
+    if len(there) < 2:
+        return None
+    left = -np.sum([capture[name] for name in there], axis=0)
+    return np.array([capture[name] if name in there else left for name in PHASES], dtype=np.float64)
+
+
 def current(capture: Capture) -> F64:
-    """Size of the largest phase current, A, shape (n,); of the current vector where not all three are streamed."""
-    if not all(name in capture for name in PHASES):
-        return np.hypot(capture["i_d"], capture["i_q"])
-    return np.asarray(np.max([np.abs(capture[name]) for name in PHASES], axis=0), dtype=np.float64)
+    """Size of the largest phase current, A, shape (n,); of the current vector where two phases are not streamed."""
+    found = phases(capture)
+    return np.hypot(capture["i_d"], capture["i_q"]) if found is None else np.asarray(np.abs(found).max(axis=0))
 
 
 def largest(values: F64, where: NDArray[np.bool_]) -> float:
