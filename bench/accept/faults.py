@@ -1,8 +1,8 @@
 """Faults of the Hall wiring, put in on purpose: by the rig's fault insertion, or by a person who is asked.
 
 A rig inserts faults where the load machine's node has the parameters `hall_open`, `hall_swap` and `hall_glitch`, as
-the simulated one has. A person breaks and exchanges wires as well, also while the motor turns, but makes no false
-pulses. What was put in goes away at the test's end, once the drive is off.
+the simulated one has, and shorts wires where it has `hall_short`. A person breaks and exchanges wires as well, also
+while the motor turns, but makes no false pulses. What was put in goes away at the test's end, once the drive is off.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 WIRES = {"a": 1, "b": 2, "c": 4}
 PAIRS = {"ab": 1, "bc": 2, "ca": 3}
 PARAMETERS = ("hall_open", "hall_swap", "hall_glitch")
+SHORT = "hall_short"
 PLACEMENT = tuple(f"hall_delta_{s}" for s in range(1, 7))
 
 
@@ -46,6 +47,12 @@ class HallFaults:
         """Break the wire `a`, `b` or `c`; the drive's input is pulled up."""
         self._set("hall_open", WIRES[wire], f"Disconnect the wire of Hall sensor {wire}")
 
+    def short(self, wire: str) -> None:
+        """Short the wire to ground; the test is skipped where the rig cannot."""
+        if self._node is None or not self._node.node.has_parameter(SHORT):
+            pytest.skip("needs a rig that shorts Hall wires")
+        self._node.set(SHORT, WIRES[wire])
+
     def swap(self, pair: str) -> None:
         """Exchange two wires: `ab`, `bc` or `ca`."""
         self._set("hall_swap", PAIRS[pair], f"Exchange the wires of the Hall sensors {pair[0]} and {pair[1]}")
@@ -59,8 +66,9 @@ class HallFaults:
     def clear(self) -> None:
         """Everything as it belongs."""
         if self._node is not None:
-            for name in PARAMETERS:
-                self._node.set(name, 0.0)
+            for name in (*PARAMETERS, SHORT):
+                if self._node.node.has_parameter(name):
+                    self._node.set(name, 0.0)
         elif self._by_hand:
             self._rig.ask("Put the Hall wires back as they belong")
             self._by_hand = False

@@ -88,25 +88,24 @@ def test_hall_wire_broken(
     How far it may run away follows from the time and the current.
     """
     speed = speed_rpm(drive, rated, TENTH)
-    run_at(drive, record, speed, 0.4)
+    run_at(drive, record, speed, 0.3)
     with drive.may_trip():
         with record.stretch() as stretch:
             hall_faults.open(wire)
             record.until(lambda: bool(drive.faults), 0.5)
-            record.wait(0.1)
+            record.wait(0.05)
         run = stretch.capture
         named = drive.faults == ("HALL",)
         drive.stop()
         hall_faults.clear()
-        record.wait(0.3)
         drive.forget_faults()
     broken, fault = illegal(run), tripped(run)
     measure("trip_time", (fault - broken) / electrical_turn(drive, speed), run)
     measure("named", named)
     measure("current_max", current(run).max(), run)
     measure("current_after", largest(current(run), run.t >= fault + 5e-3), run)
-    run_at(drive, record, speed, 0.4)
-    again = record(0.2)
+    run_at(drive, record, speed, 0.3)
+    again = record(0.15)
     measure("speed_again", 100.0 * rpm(again).mean() / speed, again)
     figure(
         f"drive_broken_{wire}",
@@ -174,27 +173,27 @@ def test_hall_wires_exchanged(
     measure: Measure,
     figure: Figure,
 ) -> None:
-    """With two Hall wires exchanged the drive is asked for a thirtieth of its rated speed for a second.
+    """With two Hall wires exchanged the drive is asked for a thirtieth of its rated speed, from rest.
 
-    It cannot turn; it must not draw more than its limit, run away, or trip for another reason.
+    It cannot turn; it must not draw more than its limit, run away, or trip for another reason. That it trips once the
+    shaft turns is for `trip_hall`.
     """
     speed = rated.speed_rpm / 30
     load.speed(rpm=0.6 * speed)  # the Hall sensors are seen once before
-    record.wait(0.2)
+    record.wait(0.1)
     load.torque(0.0)
-    record.wait(0.3)
+    record.wait(0.1)
     hall_faults.swap(pair)
     with drive.may_trip():
         drive.start(own_angle(drive))
         with record.stretch() as stretch:
             drive.speed(rpm=speed)
-            record.until(lambda: bool(drive.faults), 0.9)
+            record.until(lambda: bool(drive.faults), 0.5)
         run = stretch.capture
         faults = drive.faults
         drive.stop()
         hall_faults.clear()
-        record.wait(0.1)
-        after = record(0.1)
+        after = record(0.05)
         drive.forget_faults()
     measure("current_max", current(run).max(), run)
     measure("speed_max", np.abs(rpm(run)).max(), run)

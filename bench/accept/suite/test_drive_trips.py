@@ -1,7 +1,7 @@
-"""Whether the drive's own protection works: too much current, speed or voltage, too little voltage.
+"""Whether the drive's own protection works: too much current, speed or voltage, too little voltage, Hall sensors.
 
 Nothing is brought to where it could break: the drive's threshold is moved near what is there. Just within it the drive
-must go on, just beyond it must switch off, at once, and stay off.
+must go on, just beyond it must switch off, at once, and stay off. Faults of the Hall wiring are put in by the rig.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ from bench.accept import (
     needs,
     yes,
 )
+from bench.accept.faults import PAIRS, WIRES, HallFaults
 from bench.accept.fixtures import Record
-from bench.accept.suite.common import OVER, SLOW, TURNS, Measure, rpm, speed_rpm
+from bench.accept.suite.common import OVER, SLOW, TURNS, Measure, electrical_turn, rpm, speed_rpm
 from bench.accept.suite.events import PHASES, current, only, phases, states
 from bench.accept.suite.tripping import FLOWS, TRIPPED, Trip, angle_source, measure_trips, provoke, send, turn
 from bench.rig.loads import SPEED, Load
@@ -238,4 +239,51 @@ def test_trip(moved: Moved, drive: Drive, rated: Ratings, load: Load, record: Re
             trip = provoke(drive, record, moved.fault, move, back, (i_d, i_q))
             measure(f"trip_time{way}", 1e3 * trip.least_delay(trip.caused), only(trip.run, "status"))
             trips.append(trip)
+    measure_trips(measure, drive, rated, record, trips)
+
+
+# -- Hall sensors -------------------------------------------------------------------------------------------------
+
+WRONG = {"open": (WIRES, 4.0), "shorted": (WIRES, 4.0), "exchanged": (PAIRS, 12.0)}
+"""What is put in, one after the other, and the most electrical revolutions until the drive trips."""
+
+
+def _wrong(kind: str) -> ParameterSet:
+    what, most = WRONG[kind]
+    about = f"wires {{}} {kind}, {{}}, to FAULT, at least, in electrical revolutions"
+    measured = [
+        Limits(f"turns.{which}{way}", "turns", None, most, about.format(which, way[1:]))
+        for way in WAYS["speed"]
+        for which in what
+    ]
+    return pytest.param(kind, id=kind, marks=limits(*measured))
+
+
+@called("Protection: Hall wires {kind}")
+@limits(*TRIPPED)
+@needs(*TURNS, "currents", "channel:hall", "load.speed", "hall-faults")
+@energises(rated_speed=SLOW, rated_current=1)
+@pytest.mark.parametrize("kind", [_wrong(kind) for kind in WRONG])
+def test_trip_hall(
+    kind: str, drive: Drive, rated: Ratings, load: Load, record: Record, hall_faults: HallFaults, measure: Measure
+) -> None:
+    """A Hall wire after the other is broken, or a pair exchanged, while the load machine turns the shaft: HALL.
+
+    At a tenth of the rated speed, in both directions, while a current flows. Exchanged wires make a sequence of codes
+    that runs backwards.
+    """
+    put_in = {"open": hall_faults.open, "shorted": hall_faults.short, "exchanged": hall_faults.swap}[kind]
+    speed, i_d = speed_rpm(drive, rated, 1 / 10), -FLOWS * rated.current
+    trips = []
+    drive.start(angle_source(drive))
+    with drive.may_trip():
+        for way, sign in WAYS["speed"].items():
+            turn(drive, load, record, rated, sign * speed)
+            for n, which in enumerate(WRONG[kind][0]):
+                if n:
+                    drive.current(0.0, i_d)
+                trip = provoke(drive, record, "HALL", partial(put_in, which), hall_faults.clear, (i_d, 0.0))
+                delay = trip.least_delay(trip.caused) / electrical_turn(drive, speed)
+                measure(f"turns.{which}{way}", delay, only(trip.run, "status"))
+                trips.append(trip)
     measure_trips(measure, drive, rated, record, trips)
