@@ -63,24 +63,25 @@ def test_fig13_thd_map(
     limit are part of it. What differs is the estimate that the current loop is given, its angle and its speed; both
     speeds should pass the same low-pass.
     """
-    grid = [(speed, amps, observer) for speed in SPEEDS for amps in LOADS for observer in APPROACHES]
     drive.start(PROPOSED)
-    captures = []
-    for speed, amps, observer in grid:
+    captures = {}
+    for speed in SPEEDS:
         load.speed(rpm=speed * rated.speed_rpm)
-        drive.observe(observer)
-        drive.current(amps * rated.current)
-        record.wait(SETTLING)
-        captures.append(record(turns_for_thd(drive, speed * rated.speed_rpm)))
+        for amps in LOADS:
+            drive.current(amps * rated.current)
+            for observer in APPROACHES:
+                drive.observe(observer)
+                record.wait(SETTLING)
+                captures[speed, amps, observer] = record(turns_for_thd(drive, speed * rated.speed_rpm))
     drive.stop()  # what follows takes longer than the watchdog
     thd = {}
-    for (speed, amps, observer), capture in zip(grid, captures, strict=True):
+    for (speed, amps, observer), capture in captures.items():
         thd[observer, amps, speed] = thd_of_current(whole_turns(capture))
         measure(_name(observer, amps, speed), thd[observer, amps, speed], capture)
     proposed, average = (
         np.array([[thd[observer, amps, speed] for speed in SPEEDS] for amps in LOADS]) for observer in APPROACHES
     )
-    measure("ratio", ratio(float(proposed.mean()), float(average.mean()), LITTLE), *captures)
+    measure("ratio", ratio(float(proposed.mean()), float(average.mean()), LITTLE), *captures.values())
     figure(
         "fig13",
         "THD (20) of the phase current over speed, by q current: (a) average speed, (b) proposed.",

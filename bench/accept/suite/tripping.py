@@ -15,13 +15,14 @@ from bench.accept import RATED_CURRENT, Capture, Drive, Limits, Ratings, must_be
 from bench.accept.fixtures import Record
 from bench.accept.suite.common import NEARLY_GONE, Measure, own_angle, ramp, settle
 from bench.accept.suite.events import current, largest, states, tripped
-from bench.rig.loads import SPEED, Load
+from bench.rig.loads import SPEED
 from bench.rig.needs import offers
 from protocol.codes import DriveState
 from protocol.messages import SetpointMode
 
 FLOWS = 0.3  # of the rated current, against the rotor's flux: it makes no torque
-HOLD = 0.04  # s at least in which the drive, with its setpoint still sent, must stay in FAULT
+HOLD = 0.02  # s at least in which the drive, with its setpoint still sent, must stay in FAULT
+LONG = 0.5  # s, the same once: firmware that tries again does so in some tenths of a second
 TIMEOUT = 0.3  # s
 TRIPPED = (
     must_be_yes("named", "this is the fault, and the only one"),
@@ -57,12 +58,12 @@ def angle_source(drive: Drive) -> str | None:
     return "encoder" if offers(drive.node, "encoder") else own_angle(drive)
 
 
-def turn(drive: Drive, load: Load, record: Record, rated: Ratings, speed_rpm: float) -> float:
+def turn(drive: Drive, record: Record, rated: Ratings, speed_rpm: float) -> float:
     """Of a running drive: turn the shaft, by the load machine where it can, and let a current flow; 0: it stands.
 
     Returns the q current in A that keeps the speed, the load machine's doing apart.
     """
-    i_q = 0.0
+    i_q, load = 0.0, record.rig.load
     if speed_rpm and SPEED in load.abilities:
         load.speed(rpm=speed_rpm)
     elif speed_rpm:
@@ -87,10 +88,11 @@ def provoke(
     cause: Callable[[], object],
     undo: Callable[[], object],
     still_sent: tuple[float, float],
+    hold: float = HOLD,
 ) -> Trip:
     """Of a running drive: bring the cause about and take it away, clear the fault, start again.
 
-    `still_sent`: the setpoint, i_d and i_q in A, that the drive gets while it is in FAULT.
+    `still_sent`: the setpoint, i_d and i_q in A, that the drive gets in FAULT; `hold`: s that it is left there.
     """
     rig = record.rig
     begin = rig.tick()
@@ -99,7 +101,7 @@ def provoke(
     record.until(lambda: bool(drive.faults), TIMEOUT)
     undo()
     send(drive, *still_sent, unless=lambda: True)
-    record.wait(HOLD)
+    record.wait(hold)
     named, held = drive.faults == (fault,), rig.tick()
     drive.node.clear_faults()
     end = rig.tick()
