@@ -179,9 +179,9 @@ def test_hall_wires_exchanged(
     """
     speed = rated.speed_rpm / 30
     load.speed(rpm=0.6 * speed)  # the Hall sensors are seen once before
-    record.wait(0.1)
+    record.wait(0.2)
     load.torque(0.0)
-    record.wait(0.1)
+    record.wait(0.3)
     hall_faults.swap(pair)
     with drive.may_trip():
         drive.start(own_angle(drive))
