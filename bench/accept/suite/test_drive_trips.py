@@ -190,7 +190,8 @@ def _seen(run: Capture, hold: int, threshold: float) -> tuple[str, float, float]
     k = int(np.argmax(size > threshold)) if (size > threshold).any() else int(np.argmax(size))
     phase = int(np.argmax(np.abs(i[:, k])))
     sign = 1.0 if i[phase, k] > 0.0 else -1.0
-    before = np.max(sign * i[phase], where=run.samples.tick[: i.shape[1]] <= hold, initial=0.0)
+    borne = ((run.samples.tick <= hold) & ~off)[: i.shape[1]]
+    before = np.max(sign * i[phase], where=borne, initial=0.0)
     return f"{'abc'[phase]}{'-+'[sign > 0.0]}", 100.0 * before / threshold, float(run.t[k])
 
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from itertools import product
@@ -23,15 +24,15 @@ import numpy as np
 import pytest
 from accepting import Accepting, Run, SpoiltLink
 from benches import configured
-from mutants import mutant
+from mutants import Looked, believes, blind_to, flawed, forgets, goes_on, late, limits_changed, mutant
 from virtual_run import at_rest
 
 from bench.accept.results import Verdict
 from bench.device.simulator import motors
 from protocol.device.state import StateMachine
+from protocol.messages import DriveState
 from protocol.signals import MILLI
 from sim.config.params import load_params
-from sim.drive import tick_protection as protection
 from sim.drive.machine import Recorded, SimulatedBench
 from sim.ports.device import SimulatedDevice
 from tests.choice import sampled
@@ -158,26 +159,111 @@ def test_a_broken_drive_fails_where_it_should(name: str, workshop: Workshop) -> 
     workshop.require_safe()
 
 
-DEAD = {
-    "over-current": {"i_trip": math.inf},
-    "over-speed": {"omega_trip": math.inf},
-    "under-voltage": {"u_dc_min": 0.0},
-    "over-voltage": {"u_dc_max": math.inf},
-}
+DIRECTIONS = ("forward", "reverse")
+AXES = [f"{phase}{sign}" for phase in "abc" for sign in "+-"]
+TRIPS = [f"trip_time.{axis}" for axis in AXES]
+PROTECTED = ("trip_over_current", *(f"trip[{it}]" for it in ("over-speed", "under-voltage", "over-voltage")),
+             *(f"trip_hall[{it}]" for it in ("open", "shorted", "exchanged")))  # fmt: skip
+PAIRS = {"ab": 1, "bc": 2, "ca": 3}
 
 
-@pytest.mark.parametrize(("trip", "motor"), sampled("dead", product(DEAD, MOTORS), 2, campaign="sabotage"))
-def test_a_protection_that_is_dead_fails_in_its_own_test(trip: str, motor: str, workshop: Workshop) -> None:
-    make_params = protection.make_params
+def _turns(kinds: str, whats: Iterable[str], ways: Iterable[str] = DIRECTIONS) -> dict[str, list[str]]:
+    """The times of `trip_hall` for these ways to be wrong."""
+    return {f"trip_hall[{kind}]": [f"turns.{what}.{way}" for what in whats for way in ways] for kind in kinds.split()}
 
-    def dead(*arguments: Any) -> protection.Params:
-        return make_params(*arguments)._replace(**DEAD[trip])
 
-    with patch.object(protection, "make_params", dead):
+def _wire_is_wrong(bit: int) -> Callable[[Looked], bool]:
+    return lambda seen: bool((int(seen.load["hall_open"]) | int(seen.load["hall_short"])) & bit)
+
+
+def _pair_is_wrong(number: int) -> Callable[[Looked], bool]:
+    return lambda seen: seen.load["hall_swap"] == number
+
+
+never = lambda limit: math.inf  # noqa: E731
+Made = Callable[[], AbstractContextManager[object]]
+FLAWS: dict[str, tuple[Made, dict[str, list[str]]]] = {
+    "over-current dead": (lambda: limits_changed(i_trip=never), {"trip_over_current": [*TRIPS, "named"]}),
+    "over-current at 1.5 times": (
+        lambda: limits_changed(i_trip=lambda amps: 1.5 * amps), {"trip_over_current": [*TRIPS, "named"]}
+    ),
+    "over-current at 1.15 times": (
+        lambda: limits_changed(i_trip=lambda amps: 1.15 * amps), {"trip_over_current": [*TRIPS, "named"]}
+    ),
+    "over-current at 0.8 times": (
+        lambda: limits_changed(i_trip=lambda amps: 0.8 * amps),
+        {"trip_over_current": [f"no_trip.{axis}" for axis in AXES]},
+    ),
+    "over-current 50 ms late": (lambda: flawed(late(0.05)), {"trip_over_current": TRIPS}),
+    "over-current 2 ms late": (lambda: flawed(late(0.002)), {"trip_over_current": TRIPS}),
+    **{
+        f"over-current blind to {axis}": (
+            lambda axis=axis: flawed(blind_to(axis[0], float(axis[1] + "1"))),
+            {"trip_over_current": [f"trip_time.{axis}", "named"]},
+        )
+        for axis in AXES
+    },
+    "over-speed dead": (
+        lambda: limits_changed(omega_trip=never),
+        {"trip[over-speed]": [f"trip_time.{way}" for way in DIRECTIONS]},
+    ),
+    "over-speed blind in reverse": (
+        lambda: flawed(lambda seen: seen.unless(seen.speed < 0.0, "omega_trip")),
+        {"trip[over-speed]": ["trip_time.reverse", "named"]},
+    ),
+    "over-speed blind forward": (
+        lambda: flawed(lambda seen: seen.unless(seen.speed > 0.0, "omega_trip")),
+        {"trip[over-speed]": ["trip_time.forward", "named"]},
+    ),
+    "over-speed 50 ms late": (
+        lambda: limits_changed(speed_periods=lambda n: n + 800),
+        {"trip[over-speed]": [f"trip_time.{way}" for way in DIRECTIONS]},
+    ),
+    "over-speed at 0.8 times": (
+        lambda: limits_changed(omega_trip=lambda speed: 0.8 * speed),
+        {"trip[over-speed]": [f"no_trip.{way}" for way in DIRECTIONS]},
+    ),
+    "under-voltage dead": (lambda: limits_changed(u_dc_min=lambda volts: 0.0), {"trip[under-voltage]": ["trip_time"]}),
+    "over-voltage dead": (lambda: limits_changed(u_dc_max=never), {"trip[over-voltage]": ["trip_time"]}),
+    **{
+        f"HALL blind to wire {wire}": (
+            lambda bit=bit: flawed(believes(_wire_is_wrong(bit))), _turns("open shorted", [wire])
+        )
+        for wire, bit in {"a": 1, "b": 2, "c": 4}.items()
+    },
+    **{
+        f"HALL blind to {pair} exchanged": (
+            lambda number=number: flawed(believes(_pair_is_wrong(number))), _turns("exchanged", [pair])
+        )
+        for pair, number in PAIRS.items()
+    },
+    "HALL blind to a reversed sequence": (
+        lambda: limits_changed(opposed_max=never), _turns("exchanged", PAIRS)
+    ),
+    "HALL blind in reverse": (
+        lambda: flawed(believes(lambda seen: seen.speed < 0.0)),
+        _turns("open shorted", "abc", ["reverse"]) | _turns("exchanged", PAIRS, ["reverse"]),
+    ),
+    "outputs stay on": (goes_on, {test: ["current_after"] for test in PROTECTED}),
+    "restarts by itself": (lambda: forgets(DriveState.RUNNING), {"trip_over_current": ["latched"]}),
+    "clears its faults": (lambda: forgets(DriveState.IDLE), {"trip_over_current": ["latched"]}),
+}  # fmt: skip
+"""What is wrong with the protection, and by test the measurements that must notice."""
+ALL_FAIL = ("outputs stay on", "restarts by itself", "clears its faults")
+
+
+@pytest.mark.parametrize(("name", "motor"), sampled("flaw", product(FLAWS, ("", *motors())), 3, campaign="sabotage"))
+def test_a_flaw_of_the_protection_fails_in_its_own_test(name: str, motor: str, workshop: Workshop) -> None:
+    made, must = FLAWS[name]
+    with made():
         run = workshop.run(keyword="trip", motor=motor)
-    assert run.tests == {f"trip[{name}]": "FAIL" if name == trip else "PASS" for name in DEAD}
-    failed = {name.rpartition(".")[2] for name, m in run.measured.items() if m.verdict is Verdict.FAIL}
-    assert failed >= {"named", "trip_time"}
+    failed = {name for name, m in run.measured.items() if m.verdict is not Verdict.PASS}
+    assert failed >= {f"{test}.{measurement}" for test, found in must.items() for measurement in found}
+    assert run.tests.keys() == set(PROTECTED)
+    strangers = {test for test, verdict in run.tests.items() if verdict != "PASS" and test not in must}
+    assert strangers == set() or name in ALL_FAIL
+    others = {f"trip_over_current.{time}" for time in TRIPS} if "blind to" in name and "current" in name else set()
+    assert failed & others == others & {f"{test}.{it}" for test, found in must.items() for it in found}
     workshop.require_safe()
 
 
@@ -186,7 +272,8 @@ def test_a_threshold_that_nothing_reaches_is_none(workshop: Workshop) -> None:
         "[firmware.protection]\ni_trip = 900.0\nomega_m_trip = 9000.0\nu_dc_min = 0.0\nu_dc_max = 900.0", keyword="trip"
     )
     failed = {name for name, m in run.measured.items() if m.verdict is Verdict.FAIL}
-    assert failed == {f"trip[{trip}].threshold" for trip in DEAD} | {"trip[over-current].seen"}
+    thresholds = {f"{test}.threshold" for test in PROTECTED if "hall" not in test}
+    assert failed == thresholds | {"trip_over_current.seen"}
 
 
 BACKWARDS = "+ (0.0873 if {} < 0.0 else 0.0)"  # 5 deg
