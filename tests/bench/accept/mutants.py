@@ -61,7 +61,7 @@ def mutant(
 
 # -- protection ---------------------------------------------------------------------------------------------------
 
-OFTEN = 4  # periods, after which a flaw looks at the drive anew
+OFTEN = 8  # periods, after which a flaw looks at the drive anew
 Flaw = Callable[["Looked"], None]
 
 
