@@ -95,20 +95,21 @@ def provoke(
     `still_sent`: the setpoint, i_d and i_q in A, that the drive gets in FAULT; `hold`: s that it is left there.
     """
     rig = record.rig
-    begin = rig.tick()
-    cause()
-    caused = rig.tick()
-    record.until(lambda: bool(drive.faults), TIMEOUT)
-    undo()
-    send(drive, *still_sent, unless=lambda: True)
-    record.wait(hold)
-    named, held = drive.faults == (fault,), rig.tick()
-    drive.node.clear_faults()
-    end = rig.tick()
-    if drive.faults or drive.state != DriveState.IDLE:  # it has not tripped, or goes its own ways
-        drive.forget_faults()
-    drive.start()
-    record.until(lambda: rig.recorder.newest >= end, 1.0)
+    with drive.may_trip():
+        begin = rig.tick()
+        cause()
+        caused = rig.tick()
+        record.until(lambda: bool(drive.faults), TIMEOUT)
+        undo()
+        send(drive, *still_sent, unless=lambda: True)
+        record.wait(hold)
+        named, held = drive.faults == (fault,), rig.tick()
+        drive.node.clear_faults()
+        end = rig.tick()
+        if drive.faults or drive.state != DriveState.IDLE:  # it has not tripped, or goes its own ways
+            drive.forget_faults()
+        drive.start()
+        record.until(lambda: rig.recorder.newest >= end, 1.0)
     run = rig.capture(begin, end)
     state, ticks = states(run), run.samples.tick
     after = np.logical_or.accumulate(state == DriveState.FAULT)

@@ -372,6 +372,6 @@ def test_without_an_encoder_every_test_passes_or_says_that_it_needs_one(workshop
     assert set(run.tests) - skipped == {
         "hall_wire_broken[a]", "hall_wire_broken[b]", "hall_wire_broken[c]", "hall_glitches", "watchdog",
         "watchdog_under_load", "current_offsets", "full_speed", "stall_and_restart", "stop",
-        "trip[over-current]", "trip[over-speed]", "trip[under-voltage]", "trip[over-voltage]",
+        *PROTECTED,
     }  # fmt: skip
     workshop.require_safe()
