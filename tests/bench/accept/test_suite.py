@@ -88,7 +88,7 @@ def behind_c(params: BenchParams, seed: int = 0) -> VirtualLink:
 
 @needs("C compiler")
 @pytest.mark.parametrize(
-    "keyword", ["watchdog or trip or fig08", pytest.param(None, marks=pytest.mark.campaign("suite"))]
+    "keyword", ["watchdog or voltage or fig08", pytest.param(None, marks=pytest.mark.campaign("suite"))]
 )
 def test_a_drive_without_noise_behind_c_passes(keyword: str | None, accepting: Accepting, monkeypatch) -> None:
     monkeypatch.setattr(VirtualLink, "of", behind_c)
