@@ -13,12 +13,14 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import bands
+import numpy as np
 import pytest
 from accepting import Accepting
 from benches import configured, drawn, on_an_unkind_bench
 from page import Page
 
 from bench.accept.results import RunResult, Verdict, run_from_json
+from bench.accept.suite import events
 from bench.device.simulator import motors
 from protocol.device.compiled import CompiledLink
 from sim.config.params import BenchParams
@@ -93,6 +95,27 @@ def behind_c(params: BenchParams, seed: int = 0) -> VirtualLink:
 def test_a_drive_without_noise_behind_c_passes(keyword: str | None, accepting: Accepting, monkeypatch) -> None:
     monkeypatch.setattr(VirtualLink, "of", behind_c)
     assert_passes(accepting, "[inverter]\ndead_time = 0.0\n[current_sensor]\nnoise_rms = 0.0\nbits = 24\n", keyword)
+
+
+@pytest.mark.long("a shaft that nobody holds is moved until each phase has had its turn")
+def test_without_a_load_over_current_is_proved_phase_by_phase_or_named(accepting: Accepting) -> None:
+    Path("bench.toml").write_text('[rig]\nload = "none"\n')
+    run = accepting(keyword="trip_over_current")
+    found = {m.limits.name: m.verdict for m in run.result.measurements}
+    unproved = {name.partition(".")[2] for name, verdict in found.items() if verdict is Verdict.SKIPPED}
+    assert set(found.values()) <= {Verdict.PASS, Verdict.SKIPPED}
+    assert len(unproved) <= 2
+    said = run["trip_over_current"].why.partition(":")[0].removeprefix("not proved for ")
+    assert unproved == set(filter(None, said.split(", ")))
+
+
+def test_of_two_current_sensors_the_third_phase_is_what_the_others_leave() -> None:
+    i = np.array([[3.0, -1.0], [-5.0, 0.5], [2.0, 0.5]])
+    for left in range(3):
+        streamed = {name: i[k] for k, name in enumerate(events.PHASES) if k != left}
+        np.testing.assert_allclose(events.phases(streamed), i)  # type: ignore[arg-type]
+        np.testing.assert_allclose(events.current(streamed), [5.0, 1.0])  # type: ignore[arg-type]
+    assert events.phases({"i_a": i[0]}) is None  # type: ignore[arg-type]
 
 
 @pytest.mark.campaign("suite")
