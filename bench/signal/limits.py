@@ -39,6 +39,8 @@ class Limits:
     """The share of `LOAD_ANGLE` that both sides are wider by; such limits are in degrees."""
     scaled: str = ""
     """Where limits in `unit` come from, if they were shares or are wider."""
+    tells: str = ""
+    """What of the drive it tells, where that matters: a report says how small a deviation of it is still seen."""
 
     def __post_init__(self) -> None:
         for side in ("lo", "hi"):
