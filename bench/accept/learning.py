@@ -180,16 +180,13 @@ def _range(runs: Iterable[RunResult]) -> float:
 
 def _banded(band: Band, limits: Limits, number: int, i_range: float) -> Band:
     """With the band that its statistics make among `number` measurements, never wider than its limits."""
-    if band.unit == YES_NO or band.n < 2:
+    if band.unit == YES_NO or limits.chance or band.n < 2:
         return rounded(replace(band, lo=None, hi=None))
     least = max(RESOLUTION.get(band.unit, 0.0), FIGURES * max(abs(band.min), abs(band.max)))
     if band.unit == "A":
-        least = max(least, 2.0 * FIGURES * i_range)
+        least = max(least, FIGURES * i_range)
     half = max(tolerance_factor(band.n, FALSE_ALARMS / number) * band.sd, least)
     lo, hi = min(band.mean - half, band.min - least), max(band.mean + half, band.max + least)
     new = rounded(replace(band, lo=lo, hi=hi))
-    within = (
-        [side for side in (limits.lo, new.lo) if side is not None],
-        [s for s in (limits.hi, new.hi) if s is not None],
-    )
-    return replace(new, lo=max(within[0]), hi=min(within[1]))
+    los, his = ([side for side in sides if side is not None] for sides in ((new.lo, limits.lo), (new.hi, limits.hi)))
+    return replace(new, lo=max(los), hi=min(his))

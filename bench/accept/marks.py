@@ -36,14 +36,15 @@ def limit(
     about: str = "",
     of: str = "",
     tells: str = "",
+    chance: bool = False,
 ) -> pytest.MarkDecorator:
     """Declare a measurement `name` in `unit` with what is allowed, both included; None is no limit.
 
     `of`: the bounds are shares of that rating of the drive, RATED_SPEED (r/min) or RATED_CURRENT (A). `tells`: what of
-    the drive it tells, where a report is to say how small a deviation of that is still seen. Raises ValueError for
-    limits that are not finite or leave no room.
+    the drive it tells, where a report is to say how small a deviation of that is still seen. `chance`: it is a matter
+    of chance, and no band is learned. Raises ValueError for limits that are not finite or leave no room.
     """
-    return limits(Limits(name, unit, lo, hi, about, of=of, tells=tells))
+    return limits(Limits(name, unit, lo, hi, about, of=of, tells=tells, chance=chance))
 
 
 def limits(*declared: Limits) -> pytest.MarkDecorator:

@@ -35,6 +35,7 @@ KIND = ("n_p", "R_s_hat", "L_s_hat", "psi_f_hat", "i_max", "omega_m_max")
 """The drive's parameters that say which motor it has."""
 ALIKE = 1.5  # a factor by which one of them may be off before it is another motor's; pole pairs must be the same
 HEAD: dict[str, type] = {"drive": str, "motor": str, "firmware": list, "station": list, "software": str, "runs": list}
+FORMS: dict[type, str] = {str: "text", list: "a list of texts", dict: "a table"}
 COMMENT = """\
 # What good drives of this kind measure on this bench: `bench accept --learn-limits` wrote it, and adds runs to it.
 # A band is from lo to hi. Bands by hand, without n, mean, sd, min and max, stay as they are when runs are added.
@@ -109,6 +110,11 @@ class Spec:
             return None
         return Limits(name.rpartition(".")[2], band.unit, band.lo, band.hi)
 
+    def allows(self, measurement: Measurement) -> bool:
+        """Whether a value is in its band, if there is one."""
+        band = self.band(measurement.name)
+        return band is None or measurement.value is None or band.allow(measurement.value)
+
     def check_names(self, tests: Mapping[str, Collection[str]], units: Mapping[str, str]) -> None:
         """BenchError for what none of these tests, which map to what they measure, does: see `require_known`.
 
@@ -163,13 +169,13 @@ def read_spec(given: str) -> Spec:
         raise BenchError(f"cannot read spec {path}: {printable(str(error))}") from None
     except RecursionError:
         raise BenchError(f"cannot read spec {path}: it is nested too deeply") from None
-    known = {**HEAD, "parameters": dict, "measurements": dict}
+    known: dict[str, type] = {**HEAD, "parameters": dict, "measurements": dict}
     for key, value in data.items():
         if key not in known:
             raise BenchError(f"unknown key {printable(key)} in {path}: {did_you_mean(key, known, 'remove it')}")
-        if not isinstance(value, known[key]) or (known[key] is list and not all(isinstance(v, str) for v in value)):
-            word = {str: "text", list: "a list of texts", dict: "a table"}[known[key]]
-            raise BenchError(f"{key} in {path} must be {word}, got {value!r}")
+        texts = list(value) if known[key] is list and isinstance(value, list) else []
+        if not isinstance(value, known[key]) or not all(isinstance(text, str) for text in texts):
+            raise BenchError(f"{key} in {path} must be {FORMS[known[key]]}, got {value!r}")
     if not data.get("measurements"):
         raise BenchError(f"{path} has no [measurements]: it is no spec")
     head: dict[str, Any] = {
