@@ -15,7 +15,7 @@ import random
 import sys
 import tempfile
 from collections import Counter
-from functools import reduce
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -44,8 +44,8 @@ OFFSET, GAIN = 5e-3, 2e-3  # A and 1, of each current sensor, either way
 def of_the_kind(number: int) -> dict[str, Value]:
     """The configuration of one more drive of the kind: its temperature, its motor, its sensors; noise is the seed's."""
     draw, kind = random.Random(number), load_params()
-    values: dict[str, Value] = {key: reduce(getattr, key.split("."), kind) for key in RULES}  # not of this very motor
-    own = {key: reduce(getattr, key.split("."), kind) * (1.0 + draw.uniform(-s, s)) for key, s in TOLERANCES.items()}
+    values: dict[str, Value] = {key: attrgetter(key)(kind) for key in RULES}  # not of this very motor
+    own = {key: attrgetter(key)(kind) * (1.0 + draw.uniform(-s, s)) for key, s in TOLERANCES.items()}
     warmer = draw.uniform(-WARMER, WARMER)
     own["motor.R_s"] *= 1.0 + COPPER * warmer
     own["motor.psi_f"] *= 1.0 + MAGNET * warmer

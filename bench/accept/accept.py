@@ -6,6 +6,7 @@ knows no drive and no measurement.
 
 from __future__ import annotations
 
+import gc
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -158,6 +159,7 @@ def accept(options: AcceptOptions, screen: Screen) -> tuple[RunResult | None, in
     teller = _Teller(screen, options.list_only)
     with _no_foreign_settings():
         code = pytest.main(_arguments(options), plugins=[teller])
+    gc.collect()  # who runs it often holds the samples of all runs otherwise: they are in circles
     if teller.problems:
         raise BenchError("; ".join(teller.problems))
     if options.list_only and teller.listed:

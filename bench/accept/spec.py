@@ -240,11 +240,15 @@ def _pairs(band: Band) -> Iterator[str]:
 
 
 def rounded(band: Band) -> Band:
-    """With as many digits as its scatter calls for, the band outwards."""
-    scale = max(band.sd, band.resolution or 0.0, 1e-9 * abs(band.mean), 1e-12)
-    digits = 3 - math.floor(math.log10(scale))
-    step = 10.0**-digits
+    """With as many digits as its scatter and its width call for, the band outwards."""
+    digits = _digits(max(band.sd, 1e-9 * abs(band.mean), 1e-12), 5)
     near = {key: round(getattr(band, key), digits) for key in ("mean", "min", "max")}
+    digits = _digits(max(band.resolution or 0.0, 1e-9 * abs(band.mean), 1e-12), 3)
+    step = 10.0**-digits
     lo = None if band.lo is None else round(math.floor(band.lo / step + 1e-6) * step, digits)
     hi = None if band.hi is None else round(math.ceil(band.hi / step - 1e-6) * step, digits)
-    return replace(band, **near, sd=float(f"{band.sd:.5g}"), lo=lo, hi=hi)
+    return replace(band, **near, sd=float(f"{band.sd:.6g}"), lo=lo, hi=hi)
+
+
+def _digits(scale: float, more: int) -> int:
+    return more - math.floor(math.log10(scale))
