@@ -128,11 +128,12 @@ class Spec:
     def use(self, run: RunResult) -> SpecUse:
         """What it had to say on a run, beside the verdicts of measurements."""
         measured = {m.name: m for m in run.measurements if m.value is not None}
-        firmware = str(run.identity.get("firmware") or "")
+        learned = {"drive": (self.drive,), "firmware": self.firmware, "station": self.station}
+        here = {"drive": run.identity.get("name"), "firmware": run.identity.get("firmware"), "station": run.station}
         notes = [
-            f"learned with {what} {', '.join(known)}: this is {ours}"
-            for what, known, ours in (("firmware", self.firmware, firmware), ("station", self.station, run.station))
-            if known and ours and ours not in known
+            f"learned with {what} {', '.join(known)}: this is {here[what]}"
+            for what, known in learned.items()
+            if any(known) and here[what] and str(here[what]) not in known
         ]
         return SpecUse(
             name=str(self.path),
