@@ -16,7 +16,7 @@ from pathlib import Path
 from bench.accept.accept import AcceptOptions, accept
 from bench.accept.collected import Screen
 from bench.accept.results import RunResult, Verdict, run_from_json
-from bench.accept.spec import Band, Spec, read_spec, rounded, write_spec
+from bench.accept.spec import LARGEST, Band, Spec, read_spec, rounded, write_spec
 from bench.errors import BenchError
 from bench.rig.connection import SIM, target_of
 from bench.rig.ratings import FLOAT32
@@ -116,12 +116,10 @@ def learned(runs: Sequence[tuple[RunResult, str]], spec: Spec) -> Spec:
 
 def _with(spec: Spec, run: RunResult, called: str) -> Spec:
     if run.verdict is not Verdict.PASS:
-        why = "; --allow-skipped makes a PASS of one that left out what this bench lacks"
-        raise BenchError(
-            f"{called} ended with {run.verdict}, and limits are learned from good runs only"
-            + (why if run.verdict is Verdict.INCOMPLETE else "")
-        )
-    name = " ".join(text for text in (run.started, str(run.identity.get("serial") or run.target), _seed(run)) if text)
+        why = "; --allow-skipped makes it a PASS" if run.verdict is Verdict.INCOMPLETE else ""
+        raise BenchError(f"{called} ended with {run.verdict}, and limits are learned from good runs only{why}")
+    seed = f"seed {run.rig['seed']}" if "seed" in run.rig else ""
+    name = f"{run.started} {run.identity.get('serial') or run.target} {seed}".strip()
     if name in spec.runs:
         raise BenchError(f"{called}: the run of {name} is in {spec.path} already")
     parameters = {p.name: float(f"{p.value:.7g}") for p in run.parameters if math.isfinite(p.value)}
@@ -135,7 +133,7 @@ def _with(spec: Spec, run: RunResult, called: str) -> Spec:
     }  # fmt: skip
     measurements = dict(spec.measurements)
     for m in run.measurements:
-        if m.value is not None and math.isfinite(m.value):
+        if m.value is not None and abs(m.value) < LARGEST:
             before = measurements.get(m.name, Band(m.limits.unit))
             if before.unit != m.limits.unit:
                 raise BenchError(
@@ -154,10 +152,6 @@ def _with(spec: Spec, run: RunResult, called: str) -> Spec:
         parameters=same,
         measurements=measurements,
     )
-
-
-def _seed(run: RunResult) -> str:
-    return f"seed {run.rig['seed']}" if "seed" in run.rig else ""
 
 
 def _union(known: tuple[str, ...], more: object) -> tuple[str, ...]:

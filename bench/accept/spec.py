@@ -65,6 +65,8 @@ class Band:
         return None if self.lo is None or self.hi is None else (self.hi - self.lo) / 2.0
 
 
+MOST_RUNS = 1e6
+LARGEST = 1e100  # of numbers in the file: squares of more are not finite
 NUMBERS = tuple(f.name for f in fields(Band) if f.name != "unit")
 STATISTICS = NUMBERS[:5]
 
@@ -191,7 +193,7 @@ def read_spec(given: str) -> Spec:
 
 
 def _number(value: Any, what: str, path: Path) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
         raise BenchError(f"{printable(what)} in {path} must be a finite number, got {value!r}")
     return float(value)
 
@@ -210,7 +212,7 @@ def _band(value: Any, name: str, path: Path) -> Band:
             )
         if "lo" not in given and "hi" not in given:
             raise BenchError(f"{what} in {path} has neither lo nor hi")
-    elif given["n"] < 1 or not given["n"].is_integer() or given["sd"] < 0 or given["min"] > given["max"]:
+    elif not 1 <= given["n"] <= MOST_RUNS or not given["n"].is_integer() or given["sd"] < 0 or given["min"] > given["max"]:
         raise BenchError(f"{what} in {path}: n must be a count, sd not negative, and min not above max")
     band = Band(value["unit"], **{**given, "n": int(given.get("n", 0))})  # type: ignore[arg-type]
     try:

@@ -16,7 +16,7 @@ from bench.cli.output import Progress
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
 from bench.errors import BenchError
-from bench.files import STANDARD_OUTPUT, check_directory, check_output
+from bench.files import STANDARD_OUTPUT, check_directory
 
 if TYPE_CHECKING:
     from bench.signal.limits import Limits
@@ -95,6 +95,7 @@ def command(
     if junit == STANDARD_OUTPUT:
         raise click.UsageError("--junit -: only --json goes to standard output; give a file")
     check_files({"--junit": junit, "--json": json_file}, overwrite, [given["bench_toml"], given["config"]])
+    check_files({"--learn-limits": learn}, True, [*results, given["bench_toml"], given["config"]])
     if report is not None:
         if holds_report(report) and not overwrite:
             raise BenchError(f"--report {report} holds a report: choose another name, or --overwrite to replace it")
@@ -136,7 +137,6 @@ def _require_fitting(
         raise click.UsageError("--results runs nothing: omit TARGET, --runs, --report, --junit and --json")
     if runs is not None and any(files):
         raise click.UsageError("--runs writes no --report, --junit or --json: each run would replace the one before")
-    check_output(learn, f"--learn-limits {learn}", overwrite=True)
 
 
 def _show(listed: dict[str, tuple[Limits, Limits | None]], json_file: Path | None) -> None:

@@ -190,7 +190,7 @@ def test_what_is_wrong_in_a_file_is_one_line(text: str, says: str, tmp_path: Pat
     assert ("\n" in str(refused.value), refused.value.exit_code) == (False, 2)
 
 
-VALUE = st.one_of(st.floats(), st.integers(), st.booleans(), st.text(max_size=3), st.none())
+VALUE = st.one_of(st.floats(), st.integers(), st.just(10**400), st.booleans(), st.text(max_size=3), st.none())
 
 
 @given(st.dictionaries(st.sampled_from(["unit", "n", "mean", "sd", "min", "max", "lo", "hi", "x"]), VALUE), VALUE)
@@ -206,6 +206,9 @@ def test_a_band_by_hand_is_refused_or_can_be_used(tmp_path_factory, keys: dict, 
     except BenchError:
         return
     band = spec.band("a.b")
+    more = {"t.torque": replace(spec.measurements["a.b"], unit="%")}
+    write_spec(of([0.1, 1e300], spec=replace(spec, measurements=more, parameters={})))
+    assert read_spec(str(file)).measurements["t.torque"].n == (more["t.torque"].n + 1 if more["t.torque"].n else 0)
     assert band is None or all(side is None or math.isfinite(side) for side in (band.lo, band.hi))
 
 
@@ -350,6 +353,7 @@ def test_runs_of_the_simulated_drive_have_seeds_of_their_own_and_results_that_we
     (["--learn-limits", "a", "--spec", "sim"], "neither --spec nor --list"),
     (["--learn-limits", "a", "--results", "x", "--runs", "2"], "--results runs nothing"),
     (["--learn-limits", "a", "--runs", "2", "--json", "x"], "each run would replace"),
+    (["--learn-limits", __file__, "--results", __file__], "is also an input"),
 ])  # fmt: skip
 def test_options_that_exclude_one_another_are_refused(words: list[str], says: str) -> None:
     ran = CliRunner().invoke(command, words)
