@@ -52,10 +52,9 @@ class Measurement:
 
     @property
     def failed(self) -> str:
-        """What a value that is a FAIL is out of: "limits", or "specified" where it is within its limits; else ""."""
-        if self.verdict is not Verdict.FAIL or self.value is None:
-            return ""
-        return "specified" if self.limits.allow(self.value) else "limits"
+        """What a FAIL is one by: "specified" where the value is within its limits, else "limits"; "" if it is none."""
+        within = self.value is not None and self.limits.allow(self.value)
+        return ("specified" if within else "limits") if self.verdict is Verdict.FAIL else ""
 
     @property
     def margin(self) -> float | None:

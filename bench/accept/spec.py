@@ -212,7 +212,12 @@ def _band(value: Any, name: str, path: Path) -> Band:
             )
         if "lo" not in given and "hi" not in given:
             raise BenchError(f"{what} in {path} has neither lo nor hi")
-    elif not 1 <= given["n"] <= MOST_RUNS or not given["n"].is_integer() or given["sd"] < 0 or given["min"] > given["max"]:
+    elif (
+        not 1 <= given["n"] <= MOST_RUNS
+        or not given["n"].is_integer()
+        or given["sd"] < 0
+        or given["min"] > given["max"]
+    ):
         raise BenchError(f"{what} in {path}: n must be a count, sd not negative, and min not above max")
     band = Band(value["unit"], **{**given, "n": int(given.get("n", 0))})  # type: ignore[arg-type]
     try:
