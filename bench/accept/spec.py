@@ -160,7 +160,7 @@ class Spec:
 def read_spec(given: str) -> Spec:
     """Read a file, or the shipped one of that name. BenchError of one line for what cannot be used."""
     path = Path(given)
-    if not path.exists():
+    if not path.is_file():
         names = sorted(file.stem for file in SHIPPED.glob("*.toml"))
         if given not in names:
             there = f"there are a file of yours, or the shipped {', '.join(names)}"
