@@ -16,7 +16,7 @@ from pathlib import Path
 from bench.accept.accept import AcceptOptions, accept
 from bench.accept.collected import Screen
 from bench.accept.results import RunResult, Verdict, run_from_json
-from bench.accept.spec import LARGEST, Band, Spec, read_spec, rounded, write_spec
+from bench.accept.spec import LARGEST, Band, Spec, ratings_of, read_spec, rounded, write_spec
 from bench.errors import BenchError
 from bench.rig.connection import SIM, target_of
 from bench.rig.ratings import FLOAT32
@@ -123,7 +123,7 @@ def _with(spec: Spec, run: RunResult, called: str) -> Spec:
     if name in spec.runs:
         raise BenchError(f"{called}: the run of {name} is in {spec.path} already")
     parameters = {p.name: float(f"{p.value:.7g}") for p in run.parameters if math.isfinite(p.value)}
-    spec.require_kind(parameters, called)
+    spec.require_kind(parameters, called, run.rig)
     drive = str(run.identity.get("name") or "")
     if spec.drive and drive and drive != spec.drive:
         raise BenchError(f"{called} is of a drive '{drive}', and {spec.path} is of '{spec.drive}'")
@@ -147,6 +147,7 @@ def _with(spec: Spec, run: RunResult, called: str) -> Spec:
         motor=spec.motor or run.motor,
         firmware=_union(spec.firmware, run.identity.get("firmware")),
         station=_union(spec.station, run.station),
+        rated=spec.rated or ratings_of(run.rig),
         software=f"{PROGRAM} {run.versions.get(PROGRAM, '')}".strip(),
         runs=(*spec.runs, name),
         parameters=same,

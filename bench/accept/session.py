@@ -46,7 +46,7 @@ from bench.rig.quality import Quality
 from bench.rig.ratings import RATING_PARAMETERS, ratings
 from bench.rig.rig import Plan, Rig
 from bench.rig.settings import Settings, read_settings
-from bench.signal.limits import UNITS, Limits
+from bench.signal.limits import Limits
 from bench.signal.versions import versions
 from bench.view.markdown import escaped
 from protocol.errors import HbpError
@@ -170,7 +170,7 @@ class BenchSession:
         list(self.declared(self._known))  # limits that leave no room on this drive
         if self.spec is not None:
             kind = {name: drive.parameter(name).value for name in KIND if drive.has_parameter(name)}
-            self.spec.require_kind(kind, self.target)
+            self.spec.require_kind(kind, self.target, self.ratings.words)
 
     def _most(self, drive: Node) -> Envelope:
         """The most that the tests ask of this drive."""
@@ -282,9 +282,8 @@ class BenchSession:
             if not self.setup.identity:
                 elsewhere = self._elsewhere
                 unused = {LIMITS_ELSEWHERE: f"{len(elsewhere)}: {', '.join(elsewhere)}"} if elsewhere else {}
-                rated = {rating: f"{value:.5g} {UNITS[rating]}" for rating, value in self.ratings.told.items()}
                 seed = {} if self.settings.seed is None else {"seed": str(self.settings.seed)}
-                described = rig.describe() | rated | seed | unused
+                described = rig.describe() | self.ratings.words | seed | unused
                 self.setup = Setup(describe(rig.drive.node.identity), rig.before, described, self._deselected)
             yield rig
             rig.summary(_words(running, rig.drive.changed))

@@ -27,14 +27,22 @@ from bench.errors import BenchError
 from bench.files import write
 from bench.rig.ratings import FLOAT32
 from bench.rig.settings import require_known
-from bench.signal.limits import Limits
+from bench.signal.limits import RATED_CURRENT, RATED_SPEED, Limits
 from protocol.text import counted, did_you_mean, printable
 
 SHIPPED = Path(__file__).with_name("specs")
 KIND = ("n_p", "R_s_hat", "L_s_hat", "psi_f_hat", "i_max", "omega_m_max")
 """The drive's parameters that say which motor it has."""
 ALIKE = 1.5  # a factor by which one of them may be off before it is another motor's; pole pairs must be the same
-HEAD: dict[str, type] = {"drive": str, "motor": str, "firmware": list, "station": list, "software": str, "runs": list}
+HEAD: dict[str, type] = {
+    "drive": str,
+    "motor": str,
+    "firmware": list,
+    "station": list,
+    "rated": list,
+    "software": str,
+    "runs": list,
+}
 FORMS: dict[type, str] = {str: "text", list: "a list of texts", dict: "a table"}
 COMMENT = """\
 # What good drives of this kind measure on this bench: `bench accept --learn-limits` wrote it, and adds runs to it.
@@ -80,14 +88,16 @@ class Spec:
     motor: str = ""
     firmware: tuple[str, ...] = ()
     station: tuple[str, ...] = ()
+    rated: tuple[str, ...] = ()
+    """What setpoints were shares of: the ratings, with units."""
     software: str = ""
     runs: tuple[str, ...] = ()
     """Each run's date and time and what it was of."""
     parameters: Mapping[str, float] = field(default_factory=dict)
     measurements: Mapping[str, Band] = field(default_factory=dict)
 
-    def require_kind(self, parameters: Mapping[str, float], whose: str) -> None:
-        """BenchError if a drive with these parameters has another motor."""
+    def require_kind(self, parameters: Mapping[str, float], whose: str, told: Mapping[str, str]) -> None:
+        """BenchError if a drive with these parameters has another motor, or is `told` to have other ratings."""
         for name in KIND:
             if (ours := self.parameters.get(name)) is None or (theirs := parameters.get(name)) is None:
                 continue
@@ -96,6 +106,12 @@ class Spec:
                 raise BenchError(
                     f"{self.path} is of another motor: its {name} is {ours:.4g}, and that of {whose} {theirs:.4g}"
                 )
+        kind = {name: parameters[name] for name in KIND if name in parameters}
+        if self.rated and self.rated != (rated := ratings_of(told)) and not self.unlike(kind):
+            raise BenchError(
+                f"{self.path} is for a {' and a '.join(self.rated)}, and {whose} has a {' and a '.join(rated)}: "
+                "give the same [rated] in bench.toml, or learn anew"
+            )
 
     def unlike(self, parameters: Mapping[str, float]) -> list[str]:
         """What is not as specified of the drive's parameters, a line each."""
@@ -155,6 +171,11 @@ class Spec:
             if what and band is not None and band.resolution is not None:
                 found[what] = max(found.get(what, (0.0, band.unit)), (band.resolution, band.unit))
         return ((what, width, unit) for what, (width, unit) in found.items())
+
+
+def ratings_of(told: Mapping[str, str]) -> tuple[str, ...]:
+    """Rated speed and current, of ratings as words by name or of what a run says of its rig."""
+    return tuple(f"{rating} of {told[rating]}" for rating in (RATED_SPEED, RATED_CURRENT) if rating in told)
 
 
 def read_spec(given: str) -> Spec:

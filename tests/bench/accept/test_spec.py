@@ -25,10 +25,11 @@ from bench.accept.spec import Band, Spec, read_spec, write_spec
 from bench.cli.accept import command
 from bench.errors import BenchError
 from bench.rig.quality import ParameterValue
-from bench.signal.limits import YES_NO, Limits
+from bench.signal.limits import RATED_CURRENT, YES_NO, Limits
 from docs.make_spec import by_chance, run_of
 
 KIND = {"n_p": 6.0, "R_s_hat": 0.158, "psi_f_hat": 6.55e-3, "k_p": 2.0}
+RATED = {RATED_CURRENT: "8 A"}
 TORQUE = Limits("torque", "%", -12.0, 12.0, tells="torque per ampere")
 TESTS = """
 @limit("inside", "deg", lo=0, hi=10)
@@ -44,6 +45,7 @@ def test_it(drive, measure):
 BANDS = """
 drive = "simulated drive"
 runs = ["one", "two"]
+rated = ["rated speed of 3000 r/min", "rated current of 8 A"]
 [parameters]
 n_p = 6
 k_p_vt = 1268.0
@@ -63,6 +65,7 @@ def a_run(values: dict[str, float], number: int = 1, limits: Limits = TORQUE, **
     verdict = more.pop("verdict", Verdict.PASS)
     test = TestResult("t", "", "", "t", verdict, measurements=found)
     identity = {"name": "BLDC-24", "serial": "17", "firmware": "foc 1"} | more.pop("identity", {})
+    more = {"rig": RATED} | more
     return RunResult(f"2026-03-01T10:{number:06}", "sim", verdict, (test,), identity, parameters, **more)
 
 
@@ -220,6 +223,9 @@ def test_runs_that_teach_nothing_are_refused(tmp_path: Path) -> None:
         "the run of 2026-03-01T10:000001 17 is in kind.toml already": a_run({"torque": 0.1}),
         "of another motor: its n_p is 6, and that of later 7": a_run({}, 7, kind=KIND | {"n_p": 7.0}),
         "its psi_f_hat is 0.00655, and that of later 0.01": a_run({}, 7, kind=KIND | {"psi_f_hat": 0.01}),
+        "is for a rated current of 8 A, and later has a rated current of 5 A: give": a_run(
+            {}, 7, rig=RATED | {RATED_CURRENT: "5 A"}
+        ),
         "of a drive 'VESC', and kind.toml is of 'BLDC-24'": a_run({}, 7, identity={"name": "VESC"}),
         "t.torque is in 'A', and kind.toml has it in '%'": a_run({"torque": 1.0}, 7, Limits("", "A")),
     }
@@ -303,6 +309,12 @@ def test_a_spec_that_does_not_fit_is_refused_before_anything_runs(old, new, says
     with pytest.raises(BenchError, match=says):
         accepting(TESTS, spec="kind.toml")
     assert not any("it." in note for note in accepting.screen.notes)
+    Path("kind.toml").write_text(BANDS)
+    Path("bench.toml").write_text("[rated]\ncurrent = 5.0\n")
+    with pytest.raises(
+        BenchError, match="rated current of 8 A, and sim has a rated speed of 3000 r/min and a rated current of 5 A"
+    ):
+        accepting(TESTS, spec="kind.toml")
     with pytest.raises(BenchError, match=r"no spec 'smi': did you mean sim\?"):
         read_spec("smi")
 
@@ -320,7 +332,7 @@ def test_a_parameter_that_is_not_as_specified_fails_a_run_in_which_all_else_is(a
     assert "not as specified: parameter k_p_vt is 1141.2, specified 1268" in closing_lines(run.result)
 
 
-@pytest.mark.slow
+@pytest.mark.long("five runs of a test")
 def test_runs_of_the_simulated_drive_have_seeds_of_their_own_and_results_that_were_kept_teach_the_same(
     tmp_path,
 ) -> None:
