@@ -22,7 +22,7 @@ from bench.accept.accept import AcceptOptions, closing_lines
 from bench.accept.learning import RESOLUTION, learn, learned, summary, tolerance_factor
 from bench.accept.results import Measurement, RunResult, TestResult, Verdict, run_from_json, to_json
 from bench.accept.spec import Band, Spec, read_spec, write_spec
-from bench.cli.accept import command
+from bench.cli import cli
 from bench.errors import BenchError
 from bench.rig.quality import ParameterValue
 from bench.signal.limits import RATED_CURRENT, YES_NO, Limits
@@ -337,7 +337,7 @@ def test_runs_of_the_simulated_drive_have_seeds_of_their_own_and_results_that_we
     tmp_path,
 ) -> None:
     def bench(*words: str) -> str:
-        ran = CliRunner().invoke(command, ["sim", "-k", "current_offsets", *words], catch_exceptions=False)
+        ran = CliRunner().invoke(cli, ["accept", "sim", "-k", "current_offsets", *words], catch_exceptions=False)
         assert ran.exit_code == 0, ran.output
         return ran.output
 
@@ -349,7 +349,7 @@ def test_runs_of_the_simulated_drive_have_seeds_of_their_own_and_results_that_we
         for seed in (1, 2):
             bench("--seed", str(seed), "--json", f"{seed}.json")
         kept = [word for seed in (1, 2) for word in ("--results", f"{seed}.json")]
-        ran = CliRunner().invoke(command, ["--learn-limits", "kept.toml", *kept], catch_exceptions=False)
+        ran = CliRunner().invoke(cli, ["accept", "--learn-limits", "kept.toml", *kept], catch_exceptions=False)
         assert ran.output.startswith("kept.toml: from 2 runs, 6 of 6 measurements have a band: mean ± "), ran.output
         for name, band in read_spec("kept.toml").measurements.items():
             assert [band.lo, band.hi] == pytest.approx(
@@ -368,7 +368,7 @@ def test_runs_of_the_simulated_drive_have_seeds_of_their_own_and_results_that_we
     (["--learn-limits", __file__, "--results", __file__], "is also an input"),
 ])  # fmt: skip
 def test_options_that_exclude_one_another_are_refused(words: list[str], says: str) -> None:
-    ran = CliRunner().invoke(command, words)
+    ran = CliRunner().invoke(cli, ["accept", *words])
     assert says in str(ran.output) + str(ran.exception)
     assert ran.exit_code
 
