@@ -6,6 +6,7 @@ knows no drive and no measurement.
 
 from __future__ import annotations
 
+import gc
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -20,7 +21,7 @@ import pytest
 from bench.accept import plugin
 from bench.accept.collected import RESULT, SCREEN, Screen, is_acceptance_test
 from bench.accept.measuring import value_text
-from bench.accept.results import Measurement, RunResult, Verdict, gaps, tightest
+from bench.accept.results import Measurement, RunResult, SpecUse, Verdict, gaps, tightest
 from bench.accept.session import LIMITS_ELSEWHERE
 from bench.errors import BenchError
 from bench.rig.connection import SIM, target_of
@@ -32,8 +33,9 @@ SUITE = Path(__file__).with_name("suite")
 FOREIGN = ("PYTEST_ADDOPTS", "PYTEST_DISABLE_PLUGIN_AUTOLOAD")  # what a user's environment asks of another pytest
 WITHOUT = ("terminal", "cacheprovider", "unraisableexception")
 """Plug-ins of pytest: the teller speaks, nothing is kept, and what Python drops may be a Ctrl-C (`none_dropped`)."""
-SAME_NAME = ("target", "report", "json", "config", "operator", "motor")
+SAME_NAME = ("target", "report", "json", "config", "operator", "motor", "spec", "seed")
 """Fields of AcceptOptions that are options of the plug-in, with `--bench-` before them."""
+MOST_NAMES = 4  # of measurements, in the lines at the end
 MOST_BAD = 8  # measurements of a test that are told one by one
 
 
@@ -52,6 +54,10 @@ class AcceptOptions:
     config: Path | None = None
     operator: str | None = None
     motor: str | None = None
+    spec: str | None = None
+    """A file, or the name of a shipped one."""
+    seed: int | None = None
+    """Of the simulated drive's noise; None: the same for each test in every run."""
     jobs: int = 1
     yes: bool = False
     allow_skipped: bool = False
@@ -91,8 +97,9 @@ class _Teller:
             try:
                 if plugin.session_of(session.config).target == SIM:
                     plugin.session_of(session.config).look()
+                spec = plugin.session_of(session.config).spec
                 for name, limits in plugin.session_of(session.config).declared(items):
-                    self.screen.listed(name, limits)
+                    self.screen.listed(name, limits, spec.band(name) if spec else None)
                     self.listed = True
                 plugin.session_of(session.config).check_names()
             except BenchError as error:
@@ -152,6 +159,7 @@ def accept(options: AcceptOptions, screen: Screen) -> tuple[RunResult | None, in
     teller = _Teller(screen, options.list_only)
     with _no_foreign_settings():
         code = pytest.main(_arguments(options), plugins=[teller])
+    gc.collect()  # who runs it often holds the samples of all runs otherwise: they are in circles
     if teller.problems:
         raise BenchError("; ".join(teller.problems))
     if options.list_only and teller.listed:
@@ -205,7 +213,7 @@ def _tightest(measurements: tuple[Measurement, ...]) -> str:
     text = f"  {counted(len(measurements), 'measurement')}"
     if (closest := tightest(measurements)) is None:
         return text
-    return f"{text}, tightest {closest.limits.name} = {closest.value:.4g} [{closest.limits}]"
+    return f"{text}, tightest {closest.limits.name} = {closest.value:.4g} [{closest.nearest}]"
 
 
 def closing_lines(run: RunResult) -> list[str]:
@@ -226,9 +234,23 @@ def closing_lines(run: RunResult) -> list[str]:
         lines.append("nothing was tested" if nothing else passed)
     if LIMITS_ELSEWHERE in run.rig:
         lines.append(f"bench.toml has limits for tests that are not in this run, {run.rig[LIMITS_ELSEWHERE]}")
+    if run.spec is not None:
+        lines += _spec_lines(run.spec, [m.failed for m in run.measurements].count("specified"))
     if run.error and run.error != run.unsafe:
         lines.append(f"error: {run.error}")
     return lines
+
+
+def _spec_lines(use: SpecUse, failed: int) -> list[str]:
+    """What a spec had to say; the parameters and names that are too many are in JSON and report."""
+    text = f"as specified by {use.name} ({use.about}): "
+    text += f"{counted(failed, 'measurement')} within limits and not as specified" if failed else "all measurements"
+    lines = [f"not as specified: {line}" for line in use.unlike] + [text, *use.notes]
+    for names, what in ((use.without, "measured and not in it"), (use.unused, "in it and not measured")):
+        if names:
+            more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+            lines.append(f"{len(names)} {what}: {', '.join(names[:MOST_NAMES])}{more}")
+    return lines + ([f"cannot be told here, if it is off by less: {use.untold}"] if use.resolution else [])
 
 
 def _counted(verdicts: list[Verdict], what: str) -> str:

@@ -26,8 +26,8 @@ FIXTURE = "_hallbench_rig"  # whoever asks for it, directly or not, is an accept
 class Screen(rig_screen.Screen, Protocol):
     """Where progress goes."""
 
-    def listed(self, name: str, limits: Limits) -> None:
-        """A measurement and its limits, where only those were asked for."""
+    def listed(self, name: str, limits: Limits, specified: Limits | None) -> None:
+        """A measurement, its limits and its band, where only those were asked for."""
 
     def pause(self) -> None:
         """Somebody is about to be asked something."""

@@ -28,14 +28,23 @@ Test = TypeVar("Test", bound=Callable[..., Any])
 
 
 def limit(
-    name: str, unit: str = "", *, lo: float | None = None, hi: float | None = None, about: str = "", of: str = ""
+    name: str,
+    unit: str = "",
+    *,
+    lo: float | None = None,
+    hi: float | None = None,
+    about: str = "",
+    of: str = "",
+    tells: str = "",
+    chance: bool = False,
 ) -> pytest.MarkDecorator:
     """Declare a measurement `name` in `unit` with what is allowed, both included; None is no limit.
 
-    `of`: the bounds are shares of that rating of the drive, RATED_SPEED (r/min) or RATED_CURRENT (A). Raises ValueError
-    for limits that are not finite or leave no room.
+    `of`: the bounds are shares of that rating of the drive, RATED_SPEED (r/min) or RATED_CURRENT (A). `tells`: what of
+    the drive it tells, where a report is to say how small a deviation of that is still seen. `chance`: it is a matter
+    of chance, and no band is learned. Raises ValueError for limits that are not finite or leave no room.
     """
-    return limits(Limits(name, unit, lo, hi, about, of=of))
+    return limits(Limits(name, unit, lo, hi, about, of=of, tells=tells, chance=chance))
 
 
 def limits(*declared: Limits) -> pytest.MarkDecorator:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +20,10 @@ from bench.signal.limits import YES_NO, Limits
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
+
+
+NOT_AS_SPECIFIED = "not as specified"
+"""Why a value that is within its limits did not pass: it is out of the band of the spec."""
 
 
 class NotPassed(Exception):
@@ -37,6 +41,8 @@ class Running:
     name: str
     limits: Sequence[Limits]
     figures: Path | None = None
+    specified: Mapping[str, Limits] = field(default_factory=dict)
+    """Bands of `--spec`, by the names of limits."""
     measurements: list[Measurement] = field(default_factory=list)
     pictures: list[Figure] = field(default_factory=list)
     recording: Path | None = None
@@ -64,16 +70,19 @@ class Running:
         value = float(value)
         if declared.unit == YES_NO and value not in (0.0, 1.0) and not math.isnan(value):
             raise BenchError(f"{self.name} answers '{name}' with {value:.4g}: yes is 1 or True, no is 0 or False")
+        band = self.specified.get(name)
         flaws = list(dict.fromkeys(flaw for capture in captures for flaw in capture.flaws()))
         if flaws:
             verdict, why = Verdict.INVALID, "; ".join(flaws)
-        elif declared.allow(value):
-            verdict, why = Verdict.PASS, ""
-        else:
+        elif not declared.allow(value):
             verdict, why = Verdict.FAIL, "is not a number" if math.isnan(value) else ""
+        elif band is not None and not band.allow(value):
+            verdict, why = Verdict.FAIL, NOT_AS_SPECIFIED
+        else:
+            verdict, why = Verdict.PASS, ""
         spans = [capture.span for capture in captures]
         span = (min(a for a, _ in spans), max(b for _, b in spans)) if spans else None
-        measurement = Measurement(full, declared, verdict, value, why, span)
+        measurement = Measurement(full, declared, verdict, value, why, span, band)
         self.measurements.append(measurement)
         if span is not None and verdict is not Verdict.PASS:
             self.mark(full, span, verdict)
@@ -120,14 +129,16 @@ class Running:
         measured = {m.name for m in self.measurements}
         for declared in self.limits:
             if (full := f"{self.name}.{declared.name}") not in measured:
-                self.measurements.append(Measurement(full, declared, verdict, why=why))
+                band = self.specified.get(declared.name)
+                self.measurements.append(Measurement(full, declared, verdict, why=why, specified=band))
 
 
 def value_text(measurement: Measurement) -> str:
     """Value, limits, verdict and reason in one line."""
     value = "not measured" if measurement.value is None else measurement.limits.told(measurement.value)
     why = f" ({measurement.why})" if measurement.why else ""
-    return f"{value} [{measurement.limits}] {measurement.verdict}{why}"
+    band = f"; specified {measurement.specified}" if measurement.specified else ""
+    return f"{value} [{measurement.limits}{band}] {measurement.verdict}{why}"
 
 
 def file_name(name: str) -> str:

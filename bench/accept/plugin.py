@@ -38,6 +38,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption("--bench-config", metavar="FILE", help="figures of the simulated drive (TOML)")
     group.addoption("--bench-toml", metavar="FILE", help="the bench: target, load, limits (default: ./bench.toml)")
+    group.addoption("--bench-seed", type=int, metavar="N", help="of the simulated drive's noise")
+    group.addoption("--bench-spec", metavar="FILE", help="what good drives of this kind measure: bands beside limits")
     group.addoption("--bench-operator", metavar="NAME", help="who runs this, for the report")
     group.addoption("--bench-motor", metavar="TEXT", help="which motor this is, for the report")
     group.addoption("--bench-yes", action="store_true", help="the shaft is clear: energise a physical drive")

@@ -19,7 +19,7 @@ from bench.signal.limits import Limits
 from bench.signal.verdict import Verdict, worst
 
 __all__ = [
-    "Figure", "Limits", "Measurement", "ParameterValue", "Quality", "RunResult", "TestResult", "Verdict",
+    "Figure", "Limits", "Measurement", "ParameterValue", "Quality", "RunResult", "SpecUse", "TestResult", "Verdict",
     "gaps", "run_from_json", "to_json", "worst",
 ]  # fmt: skip
 
@@ -39,18 +39,34 @@ class Measurement:
     """Why it is not PASS, where value and limits do not say it."""
     span: tuple[float, float] | None = None
     """Where in the recording it was measured: device time in s."""
+    specified: Limits | None = None
+    """The band of `--spec`, in which it must be too; None where there is none."""
+
+    @property
+    def nearest(self) -> Limits:
+        """Of its limits and its band the one with the smaller margin; the band, where there is no value."""
+        value, both = self.value, [limits for limits in (self.specified, self.limits) if limits is not None]
+        if value is None:
+            return both[0]
+        return min(both, key=lambda limits: math.inf if (margin := limits.margin(value)) is None else margin)
+
+    @property
+    def failed(self) -> str:
+        """What a FAIL is one by: "specified" where the value is within its limits, else "limits"; "" if it is none."""
+        within = self.value is not None and self.limits.allow(self.value)
+        return ("specified" if within else "limits") if self.verdict is Verdict.FAIL else ""
 
     @property
     def margin(self) -> float | None:
-        """See `Limits.margin`; None without a value."""
-        return None if self.value is None else self.limits.margin(self.value)
+        """See `Limits.margin`, of the nearest; None without a value."""
+        return None if self.value is None else self.nearest.margin(self.value)
 
     @property
     def share(self) -> float | None:
         """Margin as a share of the width between the limits, or of the limit where there is one; None without."""
         if (margin := self.margin) is None:
             return None
-        lo, hi = self.limits.lo, self.limits.hi
+        lo, hi = self.nearest.lo, self.nearest.hi
         width = hi - lo if lo is not None and hi is not None else abs(hi if hi is not None else lo or 0.0)
         return margin / width if width else None
 
@@ -92,6 +108,31 @@ class TestResult:
 
 
 @dataclass(frozen=True, slots=True)
+class SpecUse:
+    """What a spec had to say on a run, beside the verdicts of measurements."""
+
+    name: str
+    """Its file, or its name if it is shipped."""
+    about: str
+    """Of which drive it is, and from how many runs."""
+    unlike: tuple[str, ...] = ()
+    """Parameters of the drive that are not as specified, a line each: the run is a FAIL."""
+    notes: tuple[str, ...] = ()
+    """What is not as it was when it was learned, and is no fault."""
+    without: tuple[str, ...] = ()
+    """Measurements of this run that it does not have."""
+    unused: tuple[str, ...] = ()
+    """Measurements that it has and that were not made."""
+    resolution: tuple[tuple[str, float, str], ...] = ()
+    """What matters, and the deviation and its unit below which that cannot be told from what good drives do."""
+
+    @property
+    def untold(self) -> str:
+        """The resolution, in words."""
+        return ", ".join(f"{what} {width:.2g} {unit}".rstrip() for what, width, unit in self.resolution)
+
+
+@dataclass(frozen=True, slots=True)
 class RunResult:
     """An acceptance run."""
 
@@ -119,6 +160,8 @@ class RunResult:
     """What kept the run from starting or from going on."""
     unsafe: str = ""
     """Why outputs may still be on, where they were not seen to be off."""
+    spec: SpecUse | None = None
+    """Of `--spec`."""
 
     @property
     def measurements(self) -> tuple[Measurement, ...]:
@@ -203,7 +246,7 @@ def to_json(run: RunResult) -> dict[str, Any]:
     plain: dict[str, Any] = finite(asdict(run))
     for test, source in zip(plain["tests"], run.tests, strict=True):
         for written, measurement in zip(test["measurements"], source.measurements, strict=True):
-            written["margin"] = finite(measurement.margin)
+            written |= {"margin": finite(measurement.margin), "failed": measurement.failed}
     return plain
 
 

@@ -15,6 +15,7 @@ from datetime import datetime
 from functools import reduce
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import click
 import pytest
@@ -26,6 +27,7 @@ from bench.accept.measuring import Running, file_name, require_apart, value_text
 from bench.accept.report_files import claim
 from bench.accept.requirements import missing
 from bench.accept.results import Carried, RunResult, Setup, TestResult, Verdict, to_json, worst
+from bench.accept.spec import KIND, read_spec
 from bench.device.client import Client
 from bench.device.description import describe
 from bench.device.node import Node
@@ -44,7 +46,7 @@ from bench.rig.quality import Quality
 from bench.rig.ratings import RATING_PARAMETERS, ratings
 from bench.rig.rig import Plan, Rig
 from bench.rig.settings import Settings, read_settings
-from bench.signal.limits import UNITS, Limits
+from bench.signal.limits import Limits
 from bench.signal.versions import versions
 from bench.view.markdown import escaped
 from protocol.errors import HbpError
@@ -60,6 +62,7 @@ class BenchSession:
         self.config = config
         try:
             self.settings = self._settings()
+            self.spec = read_spec(config.option.bench_spec) if config.option.bench_spec else None
         except BenchError as error:
             raise pytest.UsageError(str(error)) from None
         self.target = target_of(config.option.bench_target, self.settings)
@@ -94,6 +97,7 @@ class BenchSession:
             config=config,
             operator=option.bench_operator or settings.operator,
             motor=option.bench_motor or settings.motor,
+            seed=option.bench_seed,
         )
 
     @property
@@ -137,6 +141,8 @@ class BenchSession:
             else:
                 if self.config.option.bench_config:
                     raise BenchError(f"--config is for the simulated drive, not for {self.target}")
+                if self.settings.seed is not None:
+                    raise BenchError(f"--seed is for the simulated drive, not for {self.target}")
                 if not self._collects:
                     raise BenchError(f"{self.target} cannot be tested by several processes at once: omit -n")
                 self._held.enter_context(alone_on(self.target, load_target(self.settings)))
@@ -162,6 +168,9 @@ class BenchSession:
         told = {name: drive.parameter(name).value for name in RATING_PARAMETERS if drive.has_parameter(name)}
         self.ratings = ratings(told, self.settings.rated)
         list(self.declared(self._known))  # limits that leave no room on this drive
+        if self.spec is not None:
+            kind = {name: drive.parameter(name).value for name in KIND if drive.has_parameter(name)}
+            self.spec.require_kind(kind, self.target, self.ratings.words)
 
     def _most(self, drive: Node) -> Envelope:
         """The most that the tests ask of this drive."""
@@ -173,13 +182,15 @@ class BenchSession:
         require_apart(self._names.values())
         for item in self._known:
             label_of(item)
-        list(self.declared(self._known))  # limits that leave no room
+        units = {name: limits.unit for name, limits in self.declared(self._known)}  # fails where they leave no room
         measured = {
             name: [declared.name for declared in declared_limits(item)]
             for item in self._known
             for name in (self._names[item.nodeid], long_name(item.nodeid))
         }
         self._elsewhere = self.settings.check_names(measured)
+        if self.spec is not None:
+            self.spec.check_names(measured, units)
 
     def _require_places(self) -> None:
         if self.directory is not None:
@@ -237,8 +248,11 @@ class BenchSession:
 
     def running(self, item: pytest.Item) -> Running:
         """A test that is about to start. Its limits are the declared ones, or those of bench.toml."""
-        declared = [limits for _, limits in self.declared([item])]
-        return Running(self._names[item.nodeid], declared, self.directory / "figures" if self.directory else None)
+        declared = dict(self.declared([item]))
+        figures = self.directory / "figures" if self.directory else None
+        bands = {limits.name: self.spec.band(full) for full, limits in declared.items()} if self.spec else {}
+        specified = {name: band for name, band in bands.items() if band is not None}
+        return Running(self._names[item.nodeid], list(declared.values()), figures, specified)
 
     @contextmanager
     def rig_for(self, item: pytest.Item) -> Iterator[Rig]:
@@ -247,7 +261,7 @@ class BenchSession:
             raise BenchError(self.error)
         name = self._names[item.nodeid]
         plan = Plan(
-            link=lambda: open_target(self.target, self.settings, name),
+            link=lambda: open_target(self.target, self._seeded(name), name),
             target=self.target,
             settings=self.settings,
             envelope=announced(item, self.ratings),
@@ -268,11 +282,16 @@ class BenchSession:
             if not self.setup.identity:
                 elsewhere = self._elsewhere
                 unused = {LIMITS_ELSEWHERE: f"{len(elsewhere)}: {', '.join(elsewhere)}"} if elsewhere else {}
-                rated = {rating: f"{value:.5g} {UNITS[rating]}" for rating, value in self.ratings.told.items()}
-                described = rig.describe() | rated | unused
+                seed = {} if self.settings.seed is None else {"seed": str(self.settings.seed)}
+                described = rig.describe() | self.ratings.words | seed | unused
                 self.setup = Setup(describe(rig.drive.node.identity), rig.before, described, self._deselected)
             yield rig
             rig.summary(_words(running, rig.drive.changed))
+
+    def _seeded(self, test: str) -> Settings:
+        """With a seed of the test's own, if there is one for the run."""
+        seed = self.settings.seed
+        return self.settings if seed is None else replace(self.settings, seed=crc32(test.encode(), seed))
 
     @contextmanager
     def _unless_unsafe(self) -> Iterator[None]:
@@ -416,7 +435,7 @@ class BenchSession:
             verdict = Verdict.INCOMPLETE
         if self._interrupted:
             verdict = Verdict.ABORTED
-        return RunResult(
+        run = RunResult(
             started=self.began.isoformat(timespec="seconds"),
             target=self.target,
             verdict=verdict,
@@ -428,6 +447,10 @@ class BenchSession:
             error=self.error,
             unsafe=self.unsafe,
         )
+        if self.spec is None:
+            return run
+        use = self.spec.use(run)
+        return replace(run, spec=use, verdict=worst((verdict, Verdict.FAIL)) if use.unlike else verdict)
 
     def _incomplete(self, tests: list[TestResult], verdict: Verdict) -> bool:
         """Whether nothing went wrong, and not all was tested: what is allowed to be skipped must leave something."""

@@ -27,11 +27,11 @@ class _Screen(Progress):
 
     def __init__(self, status: bool) -> None:
         super().__init__(status)
-        self.limits: dict[str, Limits] = {}
+        self.limits: dict[str, tuple[Limits, Limits | None]] = {}
 
-    def listed(self, name: str, limits: Limits) -> None:
+    def listed(self, name: str, limits: Limits, specified: Limits | None) -> None:
         """Keep it."""
-        self.limits[name] = limits
+        self.limits[name] = limits, specified
 
 
 @click.command("accept")
@@ -49,13 +49,30 @@ class _Screen(Progress):
 @config_option
 @click.option("--operator", metavar="NAME", help="Who runs this, for the report.")
 @click.option("--motor", metavar="TEXT", help="Which motor this is, for the report: type and serial number.")
+@click.option("--spec", metavar="FILE|NAME",
+              help="What good drives of this kind measure: their bands are judged too; sim is shipped.")  # fmt: skip
+@click.option("--learn-limits", "learn", metavar="FILE", type=FILE,
+              help="Write such a spec from runs that pass, or add them to the one in FILE.")  # fmt: skip
+@click.option(
+    "--runs", metavar="N", type=click.IntRange(1, 1000), help="With --learn-limits: run N times (default: 1)."
+)
+@click.option("--results", metavar="FILE", multiple=True, type=FILE,
+              help="With --learn-limits: run nothing, learn from what --json wrote; repeatable.")  # fmt: skip
+@click.option("--seed", metavar="N", type=click.IntRange(0), help="Of the simulated drive's noise.")
 @click.option("--jobs", metavar="N", type=click.IntRange(1, 64), default=1,
               help="Processes that share the tests; on the simulated drive only; needs pytest-xdist.")  # fmt: skip
 @yes_option
 @click.option("--allow-skipped", is_flag=True,
               help="PASS, not INCOMPLETE, where tests were skipped for what is missing.")  # fmt: skip
 @click.option("--list", "list_only", is_flag=True, help="Show all measurements and their limits; run nothing.")
-def command(json_file: Path | None, overwrite: bool, **given: Any) -> None:
+def command(
+    json_file: Path | None,
+    overwrite: bool,
+    learn: Path | None,
+    runs: int | None,
+    results: tuple[Path, ...],
+    **given: Any,
+) -> None:
     """Run acceptance tests on a drive: limits, verdicts, a report.
 
     TARGET: serial:/dev/ttyACM0, tcp:HOST:PORT, can:socketcan/can0, or sim, the simulated drive in virtual time; without
@@ -70,33 +87,62 @@ def command(json_file: Path | None, overwrite: bool, **given: Any) -> None:
       bench accept --report report
       bench accept -k fig09 --report report
       bench accept serial:/dev/ttyACM0 --report report --junit junit.xml
+      bench accept serial:/dev/ttyACM0 --learn-limits type42.toml --runs 5
+      bench accept serial:/dev/ttyACM0 --spec type42.toml
     """
     junit, report = given["junit"], given["report"]
+    _require_fitting(learn, runs, results, given, [json_file, junit, report])
     if junit == STANDARD_OUTPUT:
         raise click.UsageError("--junit -: only --json goes to standard output; give a file")
     check_files({"--junit": junit, "--json": json_file}, overwrite, [given["bench_toml"], given["config"]])
+    check_files({"--learn-limits": learn}, True, [*results, given["bench_toml"], given["config"]])
     if report is not None:
         if holds_report(report) and not overwrite:
             raise BenchError(f"--report {report} holds a report: choose another name, or --overwrite to replace it")
         check_directory(report, f"--report {report}", make=True)
     from bench.accept.accept import AcceptOptions, accept, closing_lines
 
+    learned: list[str] = []
+    options = AcceptOptions(json=json_file, **given)
     with _Screen(status=not given["list_only"]) as screen:
-        run, code = accept(AcceptOptions(json=json_file, **given), screen)
+        if learn is None:
+            run, code = accept(options, screen)
+        else:
+            from bench.accept import learning
+
+            spec, run, code = learning.learn(options, screen, learn, runs or 1, results, overwrite)
+            learned = learning.summary(spec, run) if spec.runs else [f"{learn}: nothing learned"]
     if run is None:
         _show(screen.limits, json_file)
     else:
         say = note if json_file == STANDARD_OUTPUT else echo
-        for line in closing_lines(run):
+        for line in [*([] if results else closing_lines(run)), *learned]:
             say(line)
         if report is not None:
             say(f"report: {report / 'report.html'}")
     sys.exit(code)
 
 
-def _show(listed: dict[str, Limits], json_file: Path | None) -> None:
-    if json_file is not None:
-        write_json(json_file, [asdict(limits) | {"name": name} for name, limits in listed.items()])
+def _require_fitting(
+    learn: Path | None, runs: int | None, results: tuple[Path, ...], given: dict[str, Any], files: list[Path | None]
+) -> None:
+    """UsageError for options that exclude one another."""
+    if learn is None:
+        if runs is not None or results:
+            raise click.UsageError("--runs and --results are for --learn-limits")
         return
-    for name, limits in listed.items():
-        echo(f"{name}: {limits}")
+    if given["spec"] or given["list_only"]:
+        raise click.UsageError("--learn-limits goes with neither --spec nor --list")
+    if results and (runs is not None or given["target"] or any(files)):
+        raise click.UsageError("--results runs nothing: omit TARGET, --runs, --report, --junit and --json")
+    if runs is not None and any(files):
+        raise click.UsageError("--runs writes no --report, --junit or --json: each run would replace the one before")
+
+
+def _show(listed: dict[str, tuple[Limits, Limits | None]], json_file: Path | None) -> None:
+    if json_file is not None:
+        both = {name: (asdict(limits), band and asdict(band)) for name, (limits, band) in listed.items()}
+        write_json(json_file, [limits | {"name": name, "specified": band} for name, (limits, band) in both.items()])
+        return
+    for name, (limits, band) in listed.items():
+        echo(f"{name}: {limits}" + (f"; specified {band}" if band else ""))

@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from bench.errors import BenchError
-from bench.signal.limits import LOAD_ANGLE, RATED_CURRENT, RATED_SPEED
+from bench.signal.limits import LOAD_ANGLE, RATED_CURRENT, RATED_SPEED, UNITS
 from bench.signal.units import RPM
 
 HEADROOM = 1.05
@@ -37,6 +37,11 @@ class Ratings:
     def current(self) -> float:
         """A, peak."""
         return self._told(RATED_CURRENT)
+
+    @property
+    def words(self) -> dict[str, str]:
+        """Each with its unit, by name."""
+        return {rating: f"{value:.5g} {UNITS[rating]}" for rating, value in self.told.items()}
 
     def missing(self, wanted: Collection[str]) -> list[str]:
         """What is not known of these, in words, and who may say it."""

@@ -91,22 +91,27 @@ class Settings:
             raise BenchError(f"[limits] in {self.path}: {error}") from None
 
     def check_names(self, tests: Mapping[str, Collection[str]]) -> list[str]:
-        """Names of limits for other tests than these, which map to what they measure: `bench.toml` serves several runs.
+        """Names of limits for other tests than these, as `require_known`: `bench.toml` serves several runs."""
+        return require_known(self.limits, f"[limits] in {self.path}", tests)
 
-        BenchError for a limit that one of these tests does not measure, for what is no TEST.MEASUREMENT, and for a name
-        that is much like one of theirs. Names with other numbers in them are not alike: they are other working points.
-        """
-        known = [f"{test}.{measured}" for test, all_measured in tests.items() for measured in all_measured]
-        elsewhere = []
-        for name in sorted(self.limits.keys() - known):
-            ours = "." not in name or any(name.startswith(f"{test}.") for test in tests)
-            among = known if ours else [other for other in known if _numbers(other) == _numbers(name)]
-            hint = did_you_mean(name, among, cutoff=0.6 if ours else MUCH_ALIKE)
-            if ours or hint:
-                hint = hint or "bench accept --list shows all of them"
-                raise BenchError(f"[limits] in {self.path} names '{name}', which no test measures: {hint}")
-            elsewhere.append(name)
-        return elsewhere
+
+def require_known(names: Collection[str], where: str, tests: Mapping[str, Collection[str]]) -> list[str]:
+    """Those of `names`, which stand `where`, that are of other tests than these, which map to what they measure.
+
+    BenchError for what one of these tests does not measure, for what is no TEST.MEASUREMENT, and for a name that is
+    much like one of theirs. Names with other numbers in them are not alike: they are other working points.
+    """
+    known = [f"{test}.{measured}" for test, all_measured in tests.items() for measured in all_measured]
+    elsewhere = []
+    for name in sorted(set(names) - set(known)):
+        ours = "." not in name or any(name.startswith(f"{test}.") for test in tests)
+        among = known if ours else [other for other in known if _numbers(other) == _numbers(name)]
+        hint = did_you_mean(name, among, cutoff=0.6 if ours else MUCH_ALIKE)
+        if ours or hint:
+            hint = hint or "bench accept --list shows all of them"
+            raise BenchError(f"{where} names '{name}', which no test measures: {hint}")
+        elsewhere.append(name)
+    return elsewhere
 
 
 def read_settings(path: Path | None) -> Settings:

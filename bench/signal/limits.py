@@ -39,6 +39,10 @@ class Limits:
     """The share of `LOAD_ANGLE` that both sides are wider by; such limits are in degrees."""
     scaled: str = ""
     """Where limits in `unit` come from, if they were shares or are wider."""
+    tells: str = ""
+    """What of the drive it tells, where that matters: a report says how small a deviation of it is still seen."""
+    chance: bool = False
+    """It is a matter of chance, such as where the rotor came to rest: no band is learned of good drives."""
 
     def __post_init__(self) -> None:
         for side in ("lo", "hi"):

@@ -79,7 +79,7 @@ class RecordingScreen:
     def progress(self, text: str) -> None:
         self.lines.append(text)
 
-    def listed(self, name: str, limits: object) -> None:
+    def listed(self, name: str, limits: object, specified: object = None) -> None:
         self.notes.append(f"{name}: {limits}")
 
     def pause(self) -> None: ...

@@ -36,7 +36,7 @@ def number(value: float, decimals: int | None = None) -> str:
 
 def value_text(measurement: Measurement) -> str:
     """The value with its unit."""
-    value, limits = measurement.value, measurement.limits
+    value, limits = measurement.value, measurement.nearest
     if value is None:
         return NOTHING
     if limits.unit == YES_NO:
@@ -60,7 +60,7 @@ def margin_text(measurement: Measurement) -> str:
         return NOTHING
     sign = "+" if margin > 0 else ""
     percent = "" if share is None or abs(share) > 99 else f" ({_minus(f'{100 * share:.0f}')}{NBSP}%)"
-    return f"{sign}{number(margin, digits(value, measurement.limits))}{percent}"
+    return f"{sign}{number(margin, digits(value, measurement.nearest))}{percent}"
 
 
 def digits(value: float, limits: Limits) -> int:
@@ -90,6 +90,8 @@ def meaning(run: RunResult) -> str:
             return f"All that was tested is within its limits: {tested}."
         case Verdict.PASS:
             return "All measurements are within their limits."
+        case Verdict.FAIL if run.spec is not None and _within_limits(run):
+            return f"The drive is within its limits, but not as specified by {run.spec.name}."
         case Verdict.FAIL:
             unjudged = tests.count(Verdict.ERROR) + tests.count(Verdict.INVALID)
             others = f", {unjudged} could not be judged" if unjudged else ""
@@ -105,6 +107,15 @@ def meaning(run: RunResult) -> str:
     return "The bench is at fault: there is no verdict on the drive."
 
 
+def _within_limits(run: RunResult) -> bool:
+    """Whether nothing but a spec has failed it: no measurement by its limits, and no test by anything else."""
+    good = (Verdict.PASS, Verdict.SKIPPED)
+    left = [
+        [m.failed for m in test.measurements if m.verdict not in good] for test in run.tests if test.verdict not in good
+    ]
+    return all(failed and set(failed) == {"specified"} for failed in left)
+
+
 def zone(limits: Limits) -> tuple[float, float] | None:
     """From where to where a bar is permitted, in % of its length; None where there are no limits."""
     if limits.lo is None and limits.hi is None:
@@ -114,7 +125,7 @@ def zone(limits: Limits) -> tuple[float, float] | None:
 
 def place(measurement: Measurement) -> float | None:
     """Where on a bar the value lies, in % of its length, held to its ends; None where there is nothing to show."""
-    value, limits = measurement.value, measurement.limits
+    value, limits = measurement.value, measurement.nearest
     lo, hi = limits.lo, limits.hi
     if value is None or math.isnan(value) or (lo is None and hi is None) or limits.unit == YES_NO:
         return None
@@ -133,8 +144,8 @@ def place(measurement: Measurement) -> float | None:
 
 def for_information(measurement: Measurement) -> bool:
     """Whether it has a value and nothing that this could fail."""
-    limits = measurement.limits
-    return measurement.verdict is Verdict.PASS and limits.lo is None and limits.hi is None
+    both = (measurement.limits, measurement.specified or measurement.limits)
+    return measurement.verdict is Verdict.PASS and all(limits.lo is None and limits.hi is None for limits in both)
 
 
 def passed(measurements: Sequence[Measurement]) -> str:

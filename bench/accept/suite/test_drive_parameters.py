@@ -118,7 +118,14 @@ def test_parameter_mismatch(drive: Drive, rated: Ratings, load: Load, record: Re
 @called("Hall edges")
 @limits(
     *(
-        Limits(f"delta_{sector}", "deg", -PLACED_WITHIN, PLACED_WITHIN, f"edge that opens sector {sector}")
+        Limits(
+            f"delta_{sector}",
+            "deg",
+            -PLACED_WITHIN,
+            PLACED_WITHIN,
+            f"edge that opens sector {sector}",
+            tells="Hall edge against encoder",
+        )
         for sector in NUMERALS
     ),
     Limits("hysteresis", "deg", None, 3, "between an edge passed in reverse and forward, mean of the six"),
@@ -142,7 +149,7 @@ def test_hall_edges(drive: Drive, rated: Ratings, record: Record, measure: Measu
 
 @called("Back-EMF and encoder")
 @limit("psi_f", "mV·s", about="back-EMF over electrical speed")
-@limit("psi_f_deviation", "%", lo=-10, hi=10, about="measured flux less the drive's parameter psi_f_hat")
+@limit("psi_f_deviation", "%", lo=-10, hi=10, about="measured less psi_f_hat", tells="flux linkage")
 @limit("encoder_turns", "", lo=0.999, hi=1.001, about="electrical revolutions by encoder per one by Hall sensors")
 @limit("edges_dropped", "", hi=0, about="Hall edges between sectors that are not neighbours")
 @limit("u_dc", "V", about="mean voltage of the DC link")
@@ -166,7 +173,7 @@ def test_back_emf_and_encoder(drive: Drive, rated: Ratings, record: Record, meas
 
 @called("Delays between the angles")
 @limit("encoder", "us", hi=30, about="delay of encoder against back-EMF; it appears in every error")
-@limit("hall", "us", hi=50, about="delay of Hall edges against back-EMF")
+@limit("hall", "us", hi=50, about="delay of Hall edges against back-EMF", tells="delay of Hall edges")
 @needs(*TURNS, "encoder", "feature:EDGES", *(f"channel:{name}" for name in STATOR))
 @needs("parameter:R_s_hat", "parameter:L_s_hat")
 @energises(rated_speed=1, rated_current=1)
@@ -194,7 +201,9 @@ def test_angles_are_of_one_time(drive: Drive, rated: Ratings, record: Record, me
 
 @called("Torque constant")
 @limit("i_q_light", "A", hi=0.25, of=RATED_CURRENT, about="mean with light load: friction")
-@limit("torque_deviation", "%", lo=-12, hi=12, about="of the current that half the torque adds, from half the current")
+@limit(
+    "torque_deviation", "%", lo=-12, hi=12, about="of the current that half the torque adds", tells="torque per ampere"
+)
 @limit("current_sum", "A", hi=0.02, of=RATED_CURRENT, about="mean of i_a + i_b + i_c under load, its size")
 @needs(*TURNS, "encoder", "load", *PHASES, "channel:i_q", "parameter:psi_f_hat")
 @energises(rated_speed=SLOW, rated_current=1)
@@ -212,10 +221,40 @@ def test_torque_constant(drive: Drive, rated: Ratings, load: Load, record: Recor
     measure("current_sum", abs((loaded["i_a"] + loaded["i_b"] + loaded["i_c"]).mean()), loaded)
 
 
+@called("Current gain by torque and back-EMF")
+@limit(
+    "gain", "%", lo=-15, hi=15, about="of all current sensors, by a known torque and the back-EMF", tells="current gain"
+)
+@needs(*TURNS, "encoder", "load", "channel:i_q", "channel:e_alpha", "channel:e_beta", "parameter:psi_f_hat")
+@energises(rated_speed=SLOW, rated_current=1)
+def test_current_gain(drive: Drive, rated: Ratings, load: Load, record: Record, measure: Measure) -> None:
+    """The q current that a known torque adds, against what it must be with the flux linkage that the back-EMF has.
+
+    Unlike the torque constant it does not change with the magnets' temperature.
+    """
+    speed, amperes = speed_rpm(drive, rated, 1 / 3), LOAD * rated.current
+    run_at(drive, record, speed, 0.4)
+    light = whole_turns(record(0.25))
+    load.torque(amperes * drive.torque_constant)
+    settle(record, speed, within=0.005)
+    loaded = whole_turns(record(0.25))
+    psi_f = np.hypot(light["e_alpha"], light["e_beta"]).mean() / light[light.speed].mean()
+    step = (loaded["i_q"].mean() - light["i_q"].mean()) * psi_f / drive.parameters["psi_f_hat"]
+    measure("gain", 100.0 * (step / amperes - 1.0), light, loaded)
+
+
 @called("Offsets of the current sensors")
 @limits(
     *(
-        Limits(f"offset_{phase}", "A", -0.02, 0.02, f"mean of i_{phase}, outputs off, shaft at rest", of=RATED_CURRENT)
+        Limits(
+            f"offset_{phase}",
+            "A",
+            -0.02,
+            0.02,
+            f"mean of i_{phase}, outputs off, shaft at rest",
+            of=RATED_CURRENT,
+            tells="offset of a current",
+        )
         for phase in "abc"
     )
 )

@@ -102,11 +102,11 @@ LOWEST, BARELY = 1 / 150, 0.6  # of the rated speed, and of that at which the dr
 
 @called("Lowest speed at {torque} % of the rated torque")
 @limits(Limits("speed", "%", 5, 250, "mean by the encoder, of the setpoint: it turns, and does not run away"))
-@limit("backwards", "deg", hi=360, about="largest swing back of the shaft, electrical")
-@limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
-@limit("speed_ripple", "r/min", about="standard deviation by the encoder: the shaft sticks and slips")
-@limit("error_std", "deg", about="Hall sensors alone: 17 deg is a sector's centre held, more while the shaft slips")
-@limit("error_max", "deg", about="half a sector and its edge offset, 30 to 45 deg; beyond that the shaft has slipped")
+@limit("backwards", "deg", hi=360, about="largest swing back of the shaft, electrical", chance=True)
+@limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current", chance=True)
+@limit("speed_ripple", "r/min", about="standard deviation by the encoder: the shaft sticks and slips", chance=True)
+@limit("error_std", "deg", about="17 deg is a sector's centre held, more while the shaft slips", chance=True)
+@limit("error_max", "deg", about="half a sector and its edge offset: 30 to 45 deg; more: it slipped", chance=True)
 @needs(*TURNS, *VECTOR, "encoder", "currents", "channel:i_q", "load", "parameter:psi_f_hat")
 @energises(rated_speed=SLOW, rated_current=1)
 @pytest.mark.parametrize("torque", [0, 25])
@@ -194,7 +194,15 @@ def test_high_power(drive: Drive, rated: Ratings, load: Load, record: Record, me
 
 
 @called("Stall and restart")
-@limit("current_held", "A", lo=0.5, hi=OVER, of=RATED_CURRENT, about="largest while the shaft is held: it pushes")
+@limit(
+    "current_held",
+    "A",
+    lo=0.5,
+    hi=OVER,
+    of=RATED_CURRENT,
+    about="largest while the shaft is held",
+    tells="current limit",
+)
 @limit("speed_held", "r/min", hi=0.005, of=RATED_SPEED, about="largest speed while the shaft is held")
 @limit("rise_time", "ms", hi=300, about="from the first movement to 90 % of the speed")
 @limit("overshoot", "%", hi=200, about="past the speed: what the speed loop had wound up")
