@@ -15,8 +15,6 @@ import random
 import sys
 import tempfile
 from collections import Counter
-from dataclasses import replace
-from fnmatch import fnmatchcase
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -25,7 +23,7 @@ import tomli_w
 
 from bench.accept.accept import AcceptOptions, accept
 from bench.accept.learning import learned, summary
-from bench.accept.results import Measurement, RunResult, run_from_json
+from bench.accept.results import RunResult, run_from_json
 from bench.accept.spec import SHIPPED, Spec, read_spec, write_spec
 from bench.cli.output import Progress
 from sim.config.derive import RULES
@@ -39,10 +37,6 @@ TOLERANCES = {
     "inverter.u_dc": 0.0025,
 }  # fmt: skip
 """Shares by which one drive differs from another, either way."""
-CHANCE = ("hall_wires_exchanged[[]*.*_max", "hall_glitches.current_max", "hall_glitches.implausible_edges")
-"""Measurements that are a matter of chance though their tests do not say so: where false pulses fall, how a rotor falls
-into place on wrong wires.
-"""
 SCREEN: Any = Progress(status=False)
 OFFSET, GAIN = 5e-3, 2e-3  # A and 1, of each current sensor, either way
 
@@ -82,14 +76,7 @@ def run_of(number: int, folder: Path) -> RunResult:
         config = folder / f"{number}.toml"
         config.write_text(toml(of_the_kind(number)))
         accept(AcceptOptions(target="sim", config=config, seed=number, json=file), SCREEN)
-    run = run_from_json(json.loads(file.read_text()))
-    return replace(run, tests=tuple(replace(t, measurements=tuple(map(by_chance, t.measurements))) for t in run.tests))
-
-
-def by_chance(measurement: Measurement) -> Measurement:
-    """The measurement, marked as one if it is a matter of chance."""
-    chance = measurement.limits.chance or any(fnmatchcase(measurement.name, pattern) for pattern in CHANCE)
-    return replace(measurement, limits=replace(measurement.limits, chance=chance))
+    return run_from_json(json.loads(file.read_text()))
 
 
 def main() -> int:

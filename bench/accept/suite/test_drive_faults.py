@@ -155,8 +155,10 @@ def test_hall_wiring_is_named(
 
 
 @called("Hall wires {pair[0]} and {pair[1]} exchanged")
-@limit("current_max", "A", hi=1.6, of=RATED_CURRENT, about="largest phase current while the drive was to turn")
-@limit("speed_max", "r/min", hi=0.2, of=RATED_SPEED, about="largest speed, either way")
+@limit(
+    "current_max", "A", hi=1.6, of=RATED_CURRENT, about="largest phase current while the drive was to turn", chance=True
+)
+@limit("speed_max", "r/min", hi=0.2, of=RATED_SPEED, about="largest speed, either way", chance=True)
 @yes("only_hall", about="it tripped with HALL or not at all")
 @limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest phase current from 5 ms after STOP on")
 @needs(*TURNS, "encoder", "currents", "load.speed", "hall-faults")
@@ -207,8 +209,10 @@ def test_hall_wires_exchanged(
 
 
 @called("False pulses on the Hall wires")
-@limit("implausible_edges", "", lo=4, about="edges that skip a sector or lead to 000 or 111: the burst came")
-@limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current from the burst on")
+@limit(
+    "implausible_edges", "", lo=4, about="edges that skip a sector or lead to 000 or 111: the burst came", chance=True
+)
+@limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current from the burst on", chance=True)
 @limits(held("speed_after", 2, "mean 0.2 s later"))
 @needs(*TURNS, "currents", "feature:EDGES", "channel:hall", "hall-faults")
 @energises(rated_speed=SLOW, rated_current=1)
