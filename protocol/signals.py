@@ -226,7 +226,7 @@ def estimate_channels(id: int, short: str, about: str) -> tuple[Signal, Signal]:
     )
 
 
-_SENSORS = "Kalman filter: Hall sensors a, b, c distrusted (bits 0-2), moved (bits 3-5)"
+_SENSORS = "Kalman filter: Hall sensors a, b, c distrusted (bits 0-2), moved (bits 3-5), lost (6)"
 _LESSON = "which parameter lesson_value_ek is for: each in turn (see below)"
 _LESSON_VALUE = "value that the Kalman filter learned for this parameter, in its unit"
 

@@ -30,8 +30,14 @@ number of samples over which the error stays the same.
   is used once it is due, with little weight; one back just after an edge if its level stays. What follows upon an edge
   within half a turn is no second one, unless it fits better than the first, which then was a pulse.
 - If an edge is overdue, the angle stays before it and the speed is limited accordingly. If the back-EMF gives the speed
-  precisely, this is left out, because a broken wire would hold the angle for ever.
+  precisely, this is left out up to the edge after it, because a broken wire would hold the angle for ever.
+- Codes that have been legal for a revolution are regular: each dead sensor shows an illegal one in each. Then they say
+  which edge it was, no sensor is dead, and an estimate that has turned further outside their sector than one edge is
+  lost: it starts again in the middle, its speed limited by the time in which no edge came.
 - After rejected edges, once the back-EMF is no longer strong, the angle returns to the sector that the levels show.
+- What is not known of R_s, L_s and psi_f is part of the noise of e_d and e_q, as far as it is not learned.
+- Edges that are further off than P says raise a doubt, a factor of the variance that is told. Where P, or that doubt,
+  leaves no more than the sector, the angle that is told moves towards the sector's middle; the filter's own does not.
 - A rotor at rest may be anywhere between two edges, so its variance is at most that of a uniform distribution. If no
   edge has come for `hall_timeout` and the speed is below `omega_v`, the angle moves to the middle of the sector.
 - `edge_lessons` learns once per electrical revolution. This module learns the angle of each edge within a shaft
@@ -137,20 +143,30 @@ DUE = 2.0  # times that angle
 DOUBTFUL = 0.25  # of the square of its residue, more variance of an edge whose sensor was disturbed; chosen: half of it
 OVERDUE_GAP = 1.5  # times the last interval after which no edge is early
 BOUNCE = 15.0 * DEG  # rad after an edge within which it may bounce: a quarter of a sector
+HELD_MOST = 5e-3  # s for which an edge is held if the codes are regular: no pulse is so long
 STAYED = 4.0  # times the time after which its level returned: if it has stayed so long, the rotor has turned back
-CODES = 40.0 * DEG  # rad, standard deviation of an angle that says less about an edge than the levels do
 STRONG = 2.5  # [omega_v] speed from which on the back-EMF may be trusted, with
 CREDIBLE = 0.3  # [psi omega] at least that much back-EMF along the estimate
 SHARP = 8.0  # and the speed this many standard deviations from zero; the rotor does not turn back then, either
 MOVED = 2.0 * DEG  # rad by which the edges of a sensor that has moved are off at least, and
 MOVED_SIGMA = 3.0  # by that many standard deviations
 OVERDUE = 19.0  # standard deviations of an edge by which the angle may pass it; tuned
+OVERDUE_FURTHEST = 12.0 * DEG  # rad, but no more; chosen: two standard deviations of an edge that nobody has told
 OVERDUE_MOST = 2.5  # rad: beyond it the angle is ambiguous, not late
 OVERDUE_OMEGA = 0.3  # [omega] least standard deviation of the speed after a missing edge, with
 OVERDUE_OMEGA_LEAST = 0.25  # [omega_v]
 RESTART_OMEGA = 0.1  # [omega2, speed by the edges squared] variance of the speed after a restart
 RESTART_ALPHA = 0.3  # [speed by the edges over their distance, squared] variance of the acceleration then
 KNOWN_VISITS = 2.0  # revolutions that a place must be learned from before its sensor can be said to have moved
+
+# Consistency. Chosen.
+UNIFORM = 1.0 / math.sqrt(12.0)  # standard deviation of an angle that is anywhere in a range, by its width
+LOST = 80.0 * DEG  # rad that the estimate may turn outside the sector that regular codes show: that of one dead sensor
+UNPROVED = 3.0  # doubt at the start: P may be a quarter of what it should be, as long as no edge has shown more
+DOUBT_RISES = 0.5  # share of a new one in the mean of the edges' squares, if it is more,
+DOUBT_FALLS = 0.15  # and if it is less
+DOUBT_MOST = 24.0  # five times the standard deviation
+INCONSISTENT = 8.0  # doubt that is told: errors are three times as large as the filter expects
 
 # Angle of each edge within a shaft revolution, and the edges' scatter. Tuned unless stated otherwise.
 OWN_SPREAD = 0.61 * DEG  # rad, standard deviation of these angles; at high speed an edge counts as little as that
@@ -227,6 +243,10 @@ class Watch(NamedTuple):
     usual_q: float
     quiet: float  # s since they were larger than that
     weight_d: float  # sum of the weights of e_d since the last update of P
+    doubt: float  # squares of the edges' residues by their variances, less 1, averaged: how much too small P has been
+    pull: float  # rad, from the estimate towards the middle of the sector, where little but that is known
+    variance: float  # rad2, of the angle that is told, but for what all edges share
+    out: float  # rad that the estimate has turned outside the sector of the levels, less what it has inside
 
 
 class Last(NamedTuple):
@@ -275,7 +295,8 @@ class Estimate(NamedTuple):
 
     theta: float  # electrical rad in [-pi, pi), at the sample
     omega: float  # electrical rad/s, low-pass filtered
-    sensors: int  # bits 0-2: sensor a, b, c is not believed; bits 3-5: it has moved since the start
+    sensors: int  # bits 0-2: sensor a, b, c is not believed; bits 3-5: it has moved since the start; bit 6: edges
+    # contradict the filter, its angle may be lost
     unused: int  # edges not used so far: pulses, rejected edges, edges of a sensor that is not believed
     sigma: float  # rad, the filter's standard deviation of theta
     lesson: int  # a number in `edge_lessons.LESSONS`, each in turn
@@ -358,7 +379,7 @@ def _primed(params: Params, state: State, sample: Sample) -> State:
         i_alpha=sample.i_alpha,
         i_beta=sample.i_beta,
         filter=state.filter._replace(x=(theta, 0.0, 0.0, 0.0, 0.0), P=P),
-        watch=state.watch._replace(usual_d=usual_d, usual_q=usual_q),
+        watch=state.watch._replace(usual_d=usual_d, usual_q=usual_q, doubt=UNPROVED, variance=ANGLE_START**2),
         levels=state.levels._replace(code=sample.code),
         lessons=lessons,
         lesson=edge_lessons.lesson(lessons, scale, 0),
@@ -424,11 +445,15 @@ def _summed(sums: Sums, emf: Emf, left_d: float, left_q: float, omega: float, si
 
 
 @kernel
-def _noise(scale: Scale, psi: float, omega: float, i_q: float) -> tuple[float, float, float, float]:
+def _noise(scale: Scale, lessons: Lessons, omega: float, i_q: float) -> tuple[float, float, float, float]:
     """Variances of e_d and e_q for a sample and of c (all rad2/s2), and the rate (1/s) at which the errors change."""
     size = abs(omega)
     rate = ANGLES_REPEATED * max(size, RIPPLE_SPEED)
+    psi = lessons.drop[0]
     by = 1.0 / (psi * psi)
+    alike = SECTOR_WIDTH / (max(size, RIPPLE_SPEED) * scale.T_s)
+    wrong_d = size * size * edge_lessons.turned_variance(lessons, scale, omega, i_q) * alike
+    wrong_q = edge_lessons.along_variance(lessons, scale, omega, i_q) * by * alike
     emf = square(EMF_HARMONICS * psi * omega)
     white = (EMF_WHITE * scale.i * scale.L_s / scale.T_s) ** 2 * by
     none = square(EMF_NO_CURRENT * scale.v / (1.0 + square(i_q / (NO_CURRENT * scale.i_fade))))
@@ -436,8 +461,8 @@ def _noise(scale: Scale, psi: float, omega: float, i_q: float) -> tuple[float, f
     fast = max(size / scale.omega_b, 1.0)
     swings = (square(EMF_Q * scale.v) + none + emf) * by
     if abs(i_q) < LOW_CURRENT * scale.i:
-        swings += square(EMF_Q_LOW * scale.v) * by
-    return repeats * (1.0 + 2.0 / (rate * scale.T_s)) + white, white * fast * fast, swings, rate
+        swings += (square(EMF_Q_LOW * scale.v) + lessons.drop_P[3]) * by
+    return repeats * (1.0 + 2.0 / (rate * scale.T_s)) + white + wrong_d, white * fast * fast + wrong_q, swings, rate
 
 
 @kernel
@@ -488,14 +513,15 @@ def _ago(P: Symmetric, ago: float) -> Five:
 
 
 @kernel
-def _updated(params: Params, kalman: Filter, watch: Watch, psi: float, driven: bool) -> tuple[Filter, Watch]:
+def _updated(params: Params, kalman: Filter, watch: Watch, lessons: Lessons, driven: bool) -> tuple[Filter, Watch]:
     """P after the samples since its last update, with what e_d and e_q told in them, and more if they surprise."""
     scale = params.scale
     omega = kalman.x[1]
     size = abs(omega)
     n = float(kalman.since)
     t = n * scale.T_s
-    r_d, r_q, swings, rate = _noise(scale, psi, omega, watch.i_q)
+    psi = lessons.drop[0]
+    r_d, r_q, swings, rate = _noise(scale, lessons, omega, watch.i_q)
     sign = clip(watch.i_q / scale.i_fade, 1.0)
     f = 1.0 / (1.0 + rate * t)
     y = square(size / (ALPHA_WALK_SPEED * scale.omega_v))
@@ -505,7 +531,9 @@ def _updated(params: Params, kalman: Filter, watch: Watch, psi: float, driven: b
     change = max(abs(watch.i_q - watch.i_slow) / scale.i - TORQUE_DEAD_BAND, 0.0) * scale.alpha
     wander += TORQUE_WALK * change * change / TORQUE_TAU
     i_slow = watch.i_slow + t / TORQUE_TAU * (watch.i_q - watch.i_slow)
-    P = _propagated(kalman.P, t, wander * t, square(B_WALK * scale.v / psi) * t, f, swings * (1.0 - f * f))
+    unknown = 2.0 * square(watch.i_q - watch.i_slow) * lessons.drop_P[5] / TORQUE_TAU  # by a resistance not known yet
+    walk = (square(B_WALK * scale.v) + unknown) * t / (psi * psi)
+    P = _propagated(kalman.P, t, wander * t, walk, f, swings * (1.0 - f * f))
     usual_d = watch.usual_d
     usual_q = watch.usual_q
     quiet = watch.quiet
@@ -589,7 +617,8 @@ def _edge(
     sure = sharp and state.watch.quiet > QUIET
     all_off = (last.off | belief.sensors) & hall_levels.ALL == hall_levels.ALL
     lost = all_off and not (sure and abs(omega) > scale.omega_b)
-    by_codes = last.passed == 0 or lost or not driven or kalman.P[0] > CODES * CODES
+    regular = hall_levels.regular(state.levels, belief)
+    by_codes = last.passed == 0 or lost or not driven or regular
     boundary, way = _boundary(lessons, sensor, before, state.levels.code, then, by_codes)
     slot = hall_places.slot(boundary, way)
     at = hall_places.angle(places, boundary, way) + lessons.common[4] * omega
@@ -644,6 +673,8 @@ def _edge(
         wait = STAYED * since
     elif back or far:
         wait = math.inf
+    if regular:
+        wait = min(wait, HELD_MOST)
     return Edge(boundary, way, pair, at, ago, z, r, fast, far, lost, fate, wait), belief, lessons
 
 
@@ -660,6 +691,10 @@ def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
     passed = 0 if turned else last.passed
     speed = abs(kalman.x[1]) / scale.omega_b
     z = edge.residue
+    watch = state.watch
+    more = z * z / (kalman.P[0] - 2.0 * ago * kalman.P[1] + ago * ago * kalman.P[5] + edge.variance) - 1.0 - watch.doubt
+    doubt = watch.doubt + more * (DOUBT_RISES if more > 0.0 else DOUBT_FALLS)
+    watch = watch._replace(doubt=min(max(doubt, 0.0), DOUBT_MOST))
     if edge.far:
         kalman, z = _from_edge(scale, kalman, lessons.drop[0], last, edge, passed)
     g = _ago(kalman.P, ago)
@@ -678,7 +713,8 @@ def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
     row = row + 1 if boundary == (last.boundary + way) % 6 else 0
     levels = state.levels
     wrong = levels.code ^ hall_levels.beyond(boundary, way)
-    belief, none = hall_levels.judged(state.belief, wrong & ~levels.touched)
+    dead = 0 if hall_levels.regular(levels, state.belief) else wrong & ~levels.touched
+    belief, none = hall_levels.judged(state.belief, dead)
     passed = 0 if none else min(passed + 1, 3)
     places = places._replace(pair=edge.pair, scatter=scatter)
     sums = state.sums
@@ -692,7 +728,9 @@ def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
     last = Last(
         passed, row, way, boundary, edge.at, ago, since, doubtful, s * z * g[0], s * z * g[1], 0, 0, 0, 0, 0.0, 0.0
     )
-    return state._replace(filter=kalman, last=last, levels=levels, belief=belief, lessons=lessons, sums=sums)
+    return state._replace(
+        filter=kalman, watch=watch, last=last, levels=levels, belief=belief, lessons=lessons, sums=sums
+    )
 
 
 @kernel
@@ -762,29 +800,59 @@ def _revolution(scale: Scale, state: State, way: int) -> tuple[Lessons, Filter]:
 
 
 @kernel
-def _bounded(
-    scale: Scale, kalman: Filter, last: Last, belief: Belief, lessons: Lessons, code: int, sharp: bool
-) -> Filter:
-    """The filter between two edges: the angle does not pass one that has not come, unless the speed is `sharp`."""
-    places = lessons.places
+def _sector(lessons: Lessons, sector: int) -> tuple[float, float]:
+    """Middle (rad) and width of a sector, between the edges by which it is left."""
+    lo = lessons.places.actual[sector + 6]
+    hi = SECTOR_WIDTH + lessons.places.actual[(sector + 1) % 6]
+    return sector * SECTOR_WIDTH + 0.5 * (lo + hi), hi - lo
+
+
+@kernel
+def _limits(state: State) -> tuple[float, float, float]:
+    """Middle and width of where the rotor is by the levels, and the variance of the edge that it would leave by.
+
+    A width of 0: nothing limits it.
+    """
+    last, belief, levels, places = state.last, state.belief, state.levels, state.lessons.places
+    if hall_levels.regular(levels, belief):
+        sector = SECTOR_OF_CODE[levels.code]
+        middle, width = _sector(state.lessons, sector)
+        leaves = (sector + 1) % 6 if wrap(state.filter.x[0] - middle) > 0.0 else sector + 6
+        return middle, width, places.variance[leaves]
+    if last.passed == 0:
+        return 0.0, 0.0, 0.0
     ahead = hall_levels.following(belief, last.boundary, last.way)
-    if ((code ^ hall_levels.beyond(ahead, last.way)) >> hall_levels.OWNER[ahead]) & 1 == 0:  # it came early
+    if ((levels.code ^ hall_levels.beyond(ahead, last.way)) >> hall_levels.OWNER[ahead]) & 1 == 0:  # it came early
         ahead = hall_levels.following(belief, ahead, last.way)
     width = hall_places.width(places, last.boundary, ahead, last.way)
+    return last.at + 0.5 * last.way * width, width, places.variance[hall_places.slot(ahead, last.way)]
+
+
+@kernel
+def _bounded(scale: Scale, state: State, t: float, sharp: bool) -> State:
+    """The state between two edges, `t` s since the last time: the angle does not pass one that has not come.
+
+    Unless the speed is `sharp`; and then only to where the next edge should have come as well.
+    """
+    kalman, last, watch, belief = state.filter, state.last, state.watch, state.belief
+    regular = hall_levels.regular(state.levels, belief)
+    middle, width, variance = _limits(state)
+    if width == 0.0:
+        return state._replace(watch=watch._replace(pull=0.0, variance=kalman.P[0]))
     theta, omega, alpha, b, c = kalman.x
-    x = last.way * wrap(theta - last.at)
-    sigma = math.sqrt(places.scatter + places.variance[hall_places.slot(ahead, last.way)])
-    margin = OVERDUE * sigma + scale.T_s * abs(omega)
-    back = margin + abs(places.actual[last.boundary] - places.actual[last.boundary + 6])
-    over = 0.0
-    side = last.way
-    if x > width + margin:
-        over = x - width - margin
-    elif x < -back:
-        over = -x - back
-        side = -last.way
-    if 0.0 < over < OVERDUE_MOST and not sharp:
-        theta -= side * over
+    most = min(OVERDUE * math.sqrt(state.lessons.places.scatter + variance), OVERDUE_FURTHEST)
+    x = wrap(theta - middle)
+    side = 1.0 if x > 0.0 else -1.0
+    over = abs(x) - 0.5 * width - most - scale.T_s * abs(omega)
+    turned = t * max(abs(omega), scale.omega_v)
+    out = watch.out + turned if over > 0.0 and regular else max(watch.out - turned, 0.0)
+    doubt = watch.doubt
+    if over > 0.0 and out > LOST + QUIET * abs(omega):
+        kalman, last = _in_sector(scale, kalman, last, state.lessons, SECTOR_OF_CODE[state.levels.code])
+        belief = belief._replace(doubts=(0, 0, 0))
+        out = 0.0
+        doubt = max(doubt, UNPROVED)
+    elif 0.0 < over < OVERDUE_MOST and not sharp and last.off == 0:
         fastest = width / max(last.age, scale.T_s)
         if last.passed > 1 and omega * side > fastest:
             omega = side * fastest
@@ -794,14 +862,34 @@ def _bounded(
             alpha = 0.0
         P = kalman.P
         P = covariance.diagonal(
-            max(P[0], DEG * DEG),
+            max(P[0], DEG * DEG, square(min(0.5 * out, UNIFORM * width))),
             max(P[5], square(OVERDUE_OMEGA * omega) + (OVERDUE_OMEGA_LEAST * scale.omega_v) ** 2),
             max(P[9], (ALPHA_START * scale.alpha) ** 2),
             P[12],
             P[14],
         )
-        kalman = kalman._replace(x=(theta, omega, alpha, b, c), P=P)
-    return _between(kalman, last.at + 0.5 * last.way * width, width)
+        kalman = kalman._replace(x=(theta - side * over, omega, alpha, b, c), P=P)
+    kalman = _between(kalman, middle, width)
+    pull, variance = _told(kalman, doubt, middle, width if regular else 0.0)
+    watch = watch._replace(out=out, doubt=doubt, pull=pull, variance=variance)
+    return state._replace(filter=kalman, last=last, belief=belief, watch=watch)
+
+
+@kernel
+def _told(kalman: Filter, doubt: float, middle: float, width: float) -> tuple[float, float]:
+    """By how much the angle that is told differs from the filter's (rad), and its variance.
+
+    Where the filter knows no more than the sector, `width` rad about its `middle`, that is told; `width` 0: no sector.
+    """
+    variance = kalman.P[0] * (1.0 + doubt)
+    if width == 0.0:
+        return 0.0, variance
+    most = square(UNIFORM * width)
+    share = min(kalman.P[0] / most, 1.0)
+    share *= share + (1.0 - share) * doubt / (1.0 + doubt)
+    off = wrap(middle - kalman.x[0])
+    variance = min(variance, most)
+    return share * off, variance + variance / most * (most - variance + square((1.0 - share) * off))
 
 
 @kernel
@@ -818,28 +906,32 @@ def _between(kalman: Filter, middle: float, width: float) -> Filter:
 
 @kernel
 def _in_sector(scale: Scale, kalman: Filter, last: Last, lessons: Lessons, sector: int) -> tuple[Filter, Last]:
-    """The filter after rejected edges, once the back-EMF is no longer trusted: the rotor is in `sector`."""
-    places = lessons.places
+    """The filter after rejected edges, or after none where some should have come: the rotor is in `sector`."""
+    middle, width = _sector(lessons, sector)
     way = last.way if last.way != 0 else 1
     boundary = sector if way > 0 else (sector + 1) % 6
-    at = hall_places.angle(places, boundary, way)
-    width = hall_places.width(places, boundary, (boundary + way) % 6, way)
+    at = hall_places.angle(lessons.places, boundary, way)
     x = kalman.x
-    middle = at + 0.5 * way * width
-    off = wrap(x[0] - middle)
-    if abs(off) > 0.5 * width:
-        kalman = kalman._replace(x=(middle + clip(off, 0.5 * width), x[1], x[2], x[3], x[4]))
-        omega = kalman.P[5] + scale.omega_v**2
-        kalman = _restarted(scale, kalman, lessons.drop[0], ANGLE_START**2, omega, kalman.P[9])
+    omega = x[1]
+    variance = kalman.P[5] + scale.omega_v**2
+    alpha = kalman.P[9]
+    if last.off == 0 and last.age > 0.0:
+        omega = clip(omega, 0.5 * width / last.age)
+        variance = min(variance, square(width / last.age))
+        alpha = min(alpha, square(2.0 * width / square(last.age)))
+    if abs(wrap(x[0] - middle)) > 0.5 * width:
+        b = square(B_START * scale.v_drop / lessons.drop[0])
+        P = covariance.diagonal(ANGLE_START**2, variance, alpha, b, kalman.P[14])
+        kalman = kalman._replace(x=(middle, omega, 0.0, x[3], 0.0), P=P)
     return kalman, Last(1, 0, way, boundary, at, last.age, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0.0, 0.0)
 
 
 @kernel
-def _with_gains(scale: Scale, kalman: Filter, psi: float, i_q: float) -> Filter:
+def _with_gains(scale: Scale, kalman: Filter, lessons: Lessons, i_q: float) -> Filter:
     """The filter with the gains of its P, for the next `UPDATE_EVERY` samples."""
     omega = kalman.x[1]
     sign = clip(i_q / scale.i_fade, 1.0)
-    r_d, r_q, _, _ = _noise(scale, psi, omega, i_q)
+    r_d, r_q, _, _ = _noise(scale, lessons, omega, i_q)
     d = _across(kalman.P, omega)
     q = _along(kalman.P, sign)
     return kalman._replace(
@@ -893,7 +985,8 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
     It was captured `ago` seconds before the sample or, if that fits better, `late` seconds.
     """
     scale = params.scale
-    kalman, watch = _updated(params, state.filter, state.watch, state.lessons.drop[0], driven)
+    t = scale.T_s * state.filter.since
+    kalman, watch = _updated(params, state.filter, state.watch, state.lessons, driven)
     state = state._replace(filter=kalman, watch=watch)
     last = state.last
     held = sensor < 0 and last.held > 0
@@ -927,11 +1020,9 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
     sector = SECTOR_OF_CODE[state.levels.code]
     if last.off > hall_levels.ALL and sector >= 0 and not sharp:
         kalman, last = _in_sector(scale, kalman, last, lessons, sector)
-    if last.passed > 0:
-        kalman = _bounded(scale, kalman, last, state.belief, lessons, state.levels.code, sharp)
-    elif scale.R_s == 0.0 and sector >= 0:  # there is no voltage that will tell
-        kalman = _between(kalman, centre(sector, 0.0), SECTOR_WIDTH)
-    kalman = _with_gains(scale, kalman, psi, watch.i_q)
+    state = _bounded(scale, state._replace(filter=kalman, last=last), t, sharp)
+    kalman, last = state.filter, state.last
+    kalman = _with_gains(scale, kalman, lessons, watch.i_q)
     twice = edge_lessons.twice_of(lessons, scale, kalman.x[1])
     six = edge_lessons.six_of(lessons, scale, kalman.x[1])
     return state._replace(filter=kalman, last=last, twice=twice, six=six)
@@ -963,7 +1054,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     stands = state.last.age > params.timeout and abs(omega) < scale.omega_v
     if stands:
         theta = _at_rest(lessons, levels.code, standing, STANDSTILL * T_s / params.timeout)
-    b = clip(kalman.x[3], B_START * scale.v_drop / lessons.drop[0])
+    b = clip(kalman.x[3], (B_START * scale.v_drop + scale.R_s * abs(state.watch.i_q)) / lessons.drop[0])
     kalman = kalman._replace(x=(theta, omega, kalman.x[2], b, kalman.x[4]))
     omega_lpf = 0.0 if stands else state.omega_lpf + params.a_omega * (omega - state.omega_lpf)
     told = (state.told + 1) % (HOLD * CYCLE)
@@ -971,9 +1062,11 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     lesson = edge_lessons.lesson(lessons, scale, number) if told % HOLD == 0 else state.lesson
     state = state._replace(omega_lpf=omega_lpf, filter=kalman, told=told, lesson=lesson)
     unused = levels.unused - (1 if levels.pending != 0 else 0)
-    sigma = math.sqrt(max(kalman.P[0], 0.0))
-    theta = wrap(theta + sample.hall_offset)
-    return state, Estimate(theta, omega_lpf, belief.sensors, unused, sigma, number, lesson[0], lesson[1])
+    together = lessons.common_P[0 if state.last.way >= 0 else 5]
+    sigma = math.sqrt(max(state.watch.variance, 0.0) + together)
+    theta = wrap(theta + (0.0 if stands else state.watch.pull) + sample.hall_offset)
+    sensors = belief.sensors | (hall_levels.LOST_BIT if state.watch.doubt > INCONSISTENT else 0)
+    return state, Estimate(theta, omega_lpf, sensors, unused, sigma, number, lesson[0], lesson[1])
 
 
 @kernel
@@ -982,5 +1075,5 @@ def _at_rest(lessons: Lessons, code: int, theta: float, share: float) -> float:
     sector = SECTOR_OF_CODE[code]
     if sector < 0:
         return theta
-    width = hall_places.width(lessons.places, sector, (sector + 1) % 6, 1)
-    return wrap(theta + share * wrap(hall_places.angle(lessons.places, sector, 1) + 0.5 * width - theta))
+    middle, _ = _sector(lessons, sector)
+    return wrap(theta + share * wrap(middle - theta))

@@ -74,7 +74,7 @@ VISITS = 200.0  # revolutions that the mean of a relative angle reaches back ove
 MOVED = 1.0 * DEG  # rad, chosen: uncertainty that is added to the shared offset once a sensor has moved
 DRIFT = 1e-9  # rad2 per revolution, chosen: shared offsets are never certain for good
 APART = 0.3  # s, chosen: revolutions closer than this count as one observation, their errors are the same
-C_1 = 0.07  # rad at [i], standard deviation of c_1 at the start: a third of L_s with the paper's motor
+C_1 = 0.32  # [L_s / psi_f] standard deviation of c_1 at the start: of what L_s may be wrong by
 C_3 = 0.081  # rad at [i], the same of c_3
 LATE = 5e-6  # s, the same of tau; chosen: delay of a sensor and its filter
 
@@ -87,8 +87,8 @@ EMF_LOW = 0.69 * DEG  # rad, more at no current
 LOW_AT = 64.0  # by the square of i_q / [i]: half of it is left at an eighth of [i]. Also for `DROP_LOW`
 
 # e_q over a revolution. Tuned unless stated otherwise.
-PSI_OFF = 0.15  # [psi_f] standard deviation of psi at the start; chosen
-PSI_MOST = 0.5  # [psi_f] by which psi may be wrong at most; chosen
+PSI_OFF = 0.4  # [psi_f] standard deviation of psi at the start; chosen
+PSI_MOST = 0.75  # [psi_f] by which psi may be wrong at most; chosen
 DROP = 2.3  # [v] standard deviation of the drop at the start
 R_OFF = 0.5  # [R_s] the same of dR; chosen: copper that is 125 K warmer
 DROP_V = 0.03  # [v] error of the mean
@@ -178,7 +178,7 @@ def start(scale: Scale, told: Twelve, sd: float) -> Lessons:
         common_P=covariance.diagonal(
             sd * sd if up else hall_places.UNKNOWN**2,
             sd * sd if down else hall_places.UNKNOWN**2,
-            (C_1 / scale.i) ** 2,
+            (C_1 * scale.L_s / scale.psi_f) ** 2,
             (C_3 / scale.i) ** 2,
             LATE**2,
         ),
@@ -200,6 +200,27 @@ def turned(lessons: Lessons, scale: Scale, i_q: float) -> float:
 def along(lessons: Lessons, scale: Scale, omega: float, i_q: float) -> float:
     """e_q as learned, V."""
     return lessons.drop[0] * omega + lessons.drop[1] * clip(i_q / scale.i_fade, 1.0) + lessons.drop[2] * i_q
+
+
+@kernel
+def turned_variance(lessons: Lessons, scale: Scale, omega: float, i_q: float) -> float:
+    """Of that angle beside the edges' (rad2): of what the inductance may be wrong by, if nothing else is known."""
+    x = i_q / scale.i
+    P = lessons.common_P
+    alone = i_q * i_q * (P[9] + square(x * x) * P[12])
+    h = _common(omega, i_q, x)
+    g = covariance.across(P, h)
+    return min(alone, g[0] * h[0] + g[1] * h[1] + g[2] * h[2] + g[3] * h[3] + g[4] * h[4])
+
+
+@kernel
+def along_variance(lessons: Lessons, scale: Scale, omega: float, i_q: float) -> float:
+    """Of e_q as learned (V2), but for what changes slowly: of what the flux linkage may be wrong by, if nothing else is
+    known."""
+    sign = clip(i_q / scale.i_fade, 1.0)
+    P = lessons.drop_P
+    g0, g1, g2 = _across(P, omega, sign, i_q)
+    return min(omega * omega * P[0], omega * g0 + sign * g1 + i_q * g2)
 
 
 @kernel
@@ -316,7 +337,7 @@ def turn(lessons: Lessons, sums: Sums, scale: Scale, way: int, boundary: int) ->
         y = sums.off / 6.0 + sums.e_d / sums.e_q
         for k in range(6):
             y -= places.actual[k if way > 0 else k + 6] / 6.0
-        common, common_P = _common_learned(lessons, scale, way, mean, i_q, -y, max(1.0, APART / T1))
+        common, common_P = _common_learned(lessons, scale, mean, i_q, -y, max(1.0, APART / T1))
         ways |= 1 if way > 0 else 2
         places = _placed(places, common, common_P, ways)
     drop = lessons.drop
@@ -360,8 +381,15 @@ def _compared(places: Places, w: Twelve, speed: float, way: int, boundary: int) 
 
 
 @kernel
+def _common(omega: float, i_q: float, x: float) -> Five:
+    """h: what the mean angle of the back-EMF contains of `Lessons.common`."""
+    up = 1.0 if omega > 0.0 else 0.0
+    return up, 1.0 - up, i_q, x * x * i_q, omega
+
+
+@kernel
 def _common_learned(
-    lessons: Lessons, scale: Scale, way: int, omega: float, i_q: float, y: float, times: float
+    lessons: Lessons, scale: Scale, omega: float, i_q: float, y: float, times: float
 ) -> tuple[Five, Symmetric]:
     """`common` and its covariance after the mean angle of the back-EMF was y (rad) from that of the edges.
 
@@ -372,8 +400,7 @@ def _common_learned(
     dark = 1.0 / ((1.0 + EMF_DARK_AT * x * x) * (1.0 + fast * fast))
     volts = (EMF_V + EMF_DARK * dark) * scale.v / (lessons.drop[0] * omega)
     angle = EMF_A + EMF_LOW / (1.0 + LOW_AT * x * x)
-    up = 1.0 if way > 0 else 0.0
-    h = (up, 1.0 - up, i_q, x * x * i_q, omega)
+    h = _common(omega, i_q, x)
     g = covariance.across(lessons.common_P, h)
     c = lessons.common
     unsure = g[0] * h[0] + g[1] * h[1] + g[2] * h[2] + g[3] * h[3] + g[4] * h[4]

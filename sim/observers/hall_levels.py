@@ -32,12 +32,14 @@ RISES = (5, 1, 3)  # boundary where the output of sensor a, b, c rises, passed u
 OWNER = (2, 1, 0, 2, 1, 0)  # sensor that changes at a boundary
 ALL = 7  # bits of the three sensors that are not believed
 MOVED_BIT = 8  # bit of sensor a that it has moved
+LOST_BIT = 64  # edges contradict the filter
 
 RETURN = math.radians(30.0)  # rad by which a bounce may delay a level; chosen: half a sector
 ALIKE = math.radians(2.0)  # rad by which edges that are off alike differ; chosen: three standard deviations and more
 
 # Chosen, in edges: a stuck sensor is wrong at half of all edges, and a pulse over a whole sector at one or two.
 MOVED_EDGES = 6  # off alike before a sensor counts as moved: three electrical revolutions
+ODD = 6  # changes of a level after an illegal code before the codes are believed again: an electrical revolution
 WRONG = 4  # doubt that a wrong level adds; a right one takes 1 away
 DISBELIEF = 10  # doubt from which on a sensor is not believed, until there is none left
 DOUBT_MAX = 24  # largest doubt: a sensor is believed again after that many right levels
@@ -52,6 +54,7 @@ class Levels(NamedTuple):
     first: Ages  # s since these sensors did for the first time
     late: Ages  # s since they did last
     touched: int  # bits of the sensors that have changed without an edge being used, and not been right since
+    odd: int  # changes after which the codes are believed again: an illegal one shows a dead sensor in each revolution
     unused: int  # edges not used so far; a pending one counts
 
 
@@ -96,7 +99,9 @@ def read(levels: Levels, sample: Sample, T_s: float, speed: float) -> tuple[Leve
         lates = with_item(lates, k, late)
     bit = 1 << sensor if sensor >= 0 else 0
     touched = levels.touched | (recent & ~wrong)
-    levels = Levels(levels.code ^ bit, wrong & ~bit, recent & ~bit, firsts, lates, touched, unused)
+    code = levels.code ^ bit
+    odd = ODD if code == 0 or code == ALL else max(levels.odd - 1, 0) if sensor >= 0 else levels.odd
+    levels = Levels(code, wrong & ~bit, recent & ~bit, firsts, lates, touched, odd, unused)
     return levels, sensor, firsts[max(sensor, 0)], lates[max(sensor, 0)]
 
 
@@ -110,6 +115,12 @@ def rising(sensor: int, code: int) -> int:
 def believed(belief: Belief, sensor: int) -> bool:
     """Whether the edges of a sensor (0..2) are to be used."""
     return (belief.sensors >> sensor) & 1 == 0
+
+
+@kernel
+def regular(levels: Levels, belief: Belief) -> bool:
+    """Whether the levels show the sector for certain, but for a pulse: all sensors believed, no illegal code lately."""
+    return levels.odd == 0 and belief.sensors & ALL == 0 and 0 < levels.code < ALL
 
 
 @kernel
