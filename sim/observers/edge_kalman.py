@@ -166,6 +166,7 @@ UNPROVED = 3.0  # doubt at the start: P may be a quarter of what it should be, a
 DOUBT_RISES = 0.5  # share of a new one in the mean of the edges' squares, if it is more,
 DOUBT_FALLS = 0.15  # and if it is less
 DOUBT_MOST = 24.0  # five times the standard deviation
+ONCE = 1.0  # doubt that moves nothing yet: of one edge two standard deviations off
 INCONSISTENT = 8.0  # doubt that is told: errors are three times as large as the filter expects
 
 # Angle of each edge within a shaft revolution, and the edges' scatter. Tuned unless stated otherwise.
@@ -829,7 +830,7 @@ def _limits(state: State) -> tuple[float, float, float]:
 
 
 @kernel
-def _bounded(scale: Scale, state: State, t: float, sharp: bool) -> State:
+def _bounded(scale: Scale, state: State, t: float, sharp: bool, driven: bool) -> State:
     """The state between two edges, `t` s since the last time: the angle does not pass one that has not come.
 
     Unless the speed is `sharp`; and then only to where the next edge should have come as well.
@@ -870,7 +871,7 @@ def _bounded(scale: Scale, state: State, t: float, sharp: bool) -> State:
         )
         kalman = kalman._replace(x=(theta - side * over, omega, alpha, b, c), P=P)
     kalman = _between(kalman, middle, width)
-    pull, variance = _told(kalman, doubt, middle, width if regular else 0.0)
+    pull, variance = _told(kalman, doubt, middle, width if regular and driven else 0.0)
     watch = watch._replace(out=out, doubt=doubt, pull=pull, variance=variance)
     return state._replace(filter=kalman, last=last, belief=belief, watch=watch)
 
@@ -879,14 +880,16 @@ def _bounded(scale: Scale, state: State, t: float, sharp: bool) -> State:
 def _told(kalman: Filter, doubt: float, middle: float, width: float) -> tuple[float, float]:
     """By how much the angle that is told differs from the filter's (rad), and its variance.
 
-    Where the filter knows no more than the sector, `width` rad about its `middle`, that is told; `width` 0: no sector.
+    Where the filter knows no more than the sector, `width` rad about its `middle`, that is told; `width` 0: no sector,
+    or no voltage, where what turns the shaft is unknown, P is wide, and yet most shafts go on as they did.
     """
     variance = kalman.P[0] * (1.0 + doubt)
     if width == 0.0:
         return 0.0, variance
     most = square(UNIFORM * width)
     share = min(kalman.P[0] / most, 1.0)
-    share *= share + (1.0 - share) * doubt / (1.0 + doubt)
+    more = max(doubt - ONCE, 0.0)
+    share *= share + (1.0 - share) * more / (1.0 + more)
     off = wrap(middle - kalman.x[0])
     variance = min(variance, most)
     return share * off, variance + variance / most * (most - variance + square((1.0 - share) * off))
@@ -1020,7 +1023,7 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
     sector = SECTOR_OF_CODE[state.levels.code]
     if last.off > hall_levels.ALL and sector >= 0 and not sharp:
         kalman, last = _in_sector(scale, kalman, last, lessons, sector)
-    state = _bounded(scale, state._replace(filter=kalman, last=last), t, sharp)
+    state = _bounded(scale, state._replace(filter=kalman, last=last), t, sharp, driven)
     kalman, last = state.filter, state.last
     kalman = _with_gains(scale, kalman, lessons, watch.i_q)
     twice = edge_lessons.twice_of(lessons, scale, kalman.x[1])

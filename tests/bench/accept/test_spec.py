@@ -26,7 +26,7 @@ from bench.cli import cli
 from bench.errors import BenchError
 from bench.rig.quality import ParameterValue
 from bench.signal.limits import RATED_CURRENT, YES_NO, Limits
-from docs.make_spec import by_chance, run_of
+from docs.make_spec import run_of
 
 KIND = {"n_p": 6.0, "R_s_hat": 0.158, "psi_f_hat": 6.55e-3, "k_p": 2.0}
 RATED = {RATED_CURRENT: "8 A"}
@@ -383,7 +383,7 @@ def test_the_simulated_drive_is_as_its_spec_says_and_every_measurement_is_in_it(
     use = spec.use(run)
     again = "make it anew: python docs/make_spec.py"
     assert (use.without, use.unused, use.unlike) == ((), (), ()), again
-    for m in map(by_chance, run.measurements):
+    for m in run.measurements:
         band = spec.measurements[m.name]
         assert m.limits.chance or m.limits.unit == YES_NO or band.resolution is not None, m.name
         assert all(side is None or m.limits.allow(side) for side in (band.lo, band.hi)), m.name
