@@ -226,8 +226,9 @@ def test_without_voltage_the_edges_lead():
         assert np.abs(error_deg(s.theta, out.theta)[PWM_HZ - 100 :]).max() < most
 
 
-def test_an_observer_that_is_half_a_turn_off_finds_back():
-    s = signals(constant(rpm(800)), 1.5, edges_deg=PAPER_EDGES, noise=0.02)
+@pytest.mark.parametrize("speed", chosen("half a turn off", (60.0, 100.0, -400.0, 800.0, -1500.0, 3000.0), 2))
+def test_an_observer_that_is_half_a_turn_off_finds_back_within_an_electrical_revolution(speed):
+    s = signals(constant(rpm(speed)), 1.5, edges_deg=PAPER_EDGES, noise=0.02)
     seen = samples(s)
     cut = PWM_HZ // 2
     state, _ = run(edge_kalman, make(), seen[:cut])
@@ -237,4 +238,5 @@ def test_an_observer_that_is_half_a_turn_off_finds_back():
     _, out = run(edge_kalman, make(), seen[cut:], state=turned)
     error = error_deg(s.theta[cut:], out.theta)
     assert np.abs(error[0]) > 170
+    assert np.abs(error[round(2 * np.pi / abs(rpm(speed)) / T_S) :]).max() < 3.0
     assert np.abs(error[-1600:]).max() < 1.0
