@@ -107,7 +107,7 @@ class Watched(Proving):
         return self.advance(round(seconds * self.params.clock.pwm_hz))
 
 
-def operated(bench: Proving, case: Case) -> Recorded | list[Recorded]:
+def operated(bench: Proving, case: Case) -> list[Recorded]:
     """What the shaft does, all records."""
     top, amps = case.way * case.speed * bench.top, case.load * bench.i_max
     load = case.way * amps
