@@ -167,6 +167,11 @@ DOUBT_RISES = 0.5  # share of a new one in the mean of the edges' squares, if it
 DOUBT_FALLS = 0.15  # and if it is less
 DOUBT_MOST = 24.0  # five times the standard deviation
 ONCE = 1.0  # doubt that moves nothing yet: of one edge two standard deviations off
+ALIKE = 0.15
+ALIKE_MOST = 4.0
+WALK_SHARE = 0.05
+WALK_MOST = 1e4
+OWN_E = 1.0
 INCONSISTENT = 8.0  # doubt that is told: errors are three times as large as the filter expects
 
 # Angle of each edge within a shaft revolution, and the edges' scatter. Tuned unless stated otherwise.
@@ -247,6 +252,8 @@ class Watch(NamedTuple):
     doubt: float  # squares of the edges' residues by their variances, less 1, averaged: how much too small P has been
     pull: float  # rad, from the estimate towards the middle of the sector, where little but that is known
     variance: float  # rad2, of the angle that is told, but for what all edges share
+    walk: float  # variance of the acceleration's walk, by the usual one
+    before: float  # rad, residue of the last edge
     out: float  # rad that the estimate has turned outside the sector of the levels, less what it has inside
 
 
@@ -380,7 +387,7 @@ def _primed(params: Params, state: State, sample: Sample) -> State:
         i_alpha=sample.i_alpha,
         i_beta=sample.i_beta,
         filter=state.filter._replace(x=(theta, 0.0, 0.0, 0.0, 0.0), P=P),
-        watch=state.watch._replace(usual_d=usual_d, usual_q=usual_q, doubt=UNPROVED, variance=ANGLE_START**2),
+        watch=state.watch._replace(usual_d=usual_d, usual_q=usual_q, doubt=UNPROVED, walk=1.0, variance=ANGLE_START**2),
         levels=state.levels._replace(code=sample.code),
         lessons=lessons,
         lesson=edge_lessons.lesson(lessons, scale, 0),
@@ -446,7 +453,7 @@ def _summed(sums: Sums, emf: Emf, left_d: float, left_q: float, omega: float, si
 
 
 @kernel
-def _noise(scale: Scale, lessons: Lessons, omega: float, i_q: float) -> tuple[float, float, float, float]:
+def _noise(scale: Scale, lessons: Lessons, omega: float, i_q: float) -> Four:
     """Variances of e_d and e_q for a sample and of c (all rad2/s2), and the rate (1/s) at which the errors change."""
     size = abs(omega)
     rate = ANGLES_REPEATED * max(size, RIPPLE_SPEED)
@@ -514,7 +521,9 @@ def _ago(P: Symmetric, ago: float) -> Five:
 
 
 @kernel
-def _updated(params: Params, kalman: Filter, watch: Watch, lessons: Lessons, driven: bool) -> tuple[Filter, Watch]:
+def _updated(
+    params: Params, kalman: Filter, watch: Watch, lessons: Lessons, noise: Four, driven: bool
+) -> tuple[Filter, Watch]:
     """P after the samples since its last update, with what e_d and e_q told in them, and more if they surprise."""
     scale = params.scale
     omega = kalman.x[1]
@@ -522,13 +531,14 @@ def _updated(params: Params, kalman: Filter, watch: Watch, lessons: Lessons, dri
     n = float(kalman.since)
     t = n * scale.T_s
     psi = lessons.drop[0]
-    r_d, r_q, swings, rate = _noise(scale, lessons, omega, watch.i_q)
+    r_d, r_q, swings, rate = noise
     sign = clip(watch.i_q / scale.i_fade, 1.0)
     f = 1.0 / (1.0 + rate * t)
     y = square(size / (ALPHA_WALK_SPEED * scale.omega_v))
     wander = square(scale.alpha * (ALPHA_WALK_SLOW + (ALPHA_WALK_FAST - ALPHA_WALK_SLOW) * y / (1.0 + y)))
     if not driven:
         wander = square(scale.alpha * ALPHA_WALK_BLIND)
+    wander *= watch.walk
     change = max(abs(watch.i_q - watch.i_slow) / scale.i - TORQUE_DEAD_BAND, 0.0) * scale.alpha
     wander += TORQUE_WALK * change * change / TORQUE_TAU
     i_slow = watch.i_slow + t / TORQUE_TAU * (watch.i_q - watch.i_slow)
@@ -693,9 +703,12 @@ def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
     speed = abs(kalman.x[1]) / scale.omega_b
     z = edge.residue
     watch = state.watch
-    more = z * z / (kalman.P[0] - 2.0 * ago * kalman.P[1] + ago * ago * kalman.P[5] + edge.variance) - 1.0 - watch.doubt
+    expected = kalman.P[0] - 2.0 * ago * kalman.P[1] + ago * ago * kalman.P[5] + edge.variance
+    more = z * z / expected - 1.0 - watch.doubt
+    alike = 0.0 if turned or edge.far else clip(z * watch.before / expected, ALIKE_MOST)
+    walk = min(max(watch.walk * (1.0 + WALK_SHARE * (edge.fast * alike - ALIKE)), 1.0), WALK_MOST)
     doubt = watch.doubt + more * (DOUBT_RISES if more > 0.0 else DOUBT_FALLS)
-    watch = watch._replace(doubt=min(max(doubt, 0.0), DOUBT_MOST))
+    watch = watch._replace(doubt=min(max(doubt, 0.0), DOUBT_MOST), walk=walk, before=z)
     if edge.far:
         kalman, z = _from_edge(scale, kalman, lessons.drop[0], last, edge, passed)
     g = _ago(kalman.P, ago)
@@ -709,7 +722,8 @@ def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
         seen = clip(z * (z - moved_by) - known, SCATTER_CLIP * scatter)
         scatter = max(scatter + SCATTER_SHARE * (seen - scatter), SCATTER_LEAST * SCATTER_LEAST)
         if params.pairs > 0 and speed > OWN_FROM:
-            by = -OWN_SHARE * edge.fast * edge.fast * clip(z, OWN_MOST)
+            turned_by = watch.residue_d / kalman.x[1]
+            by = -OWN_SHARE * edge.fast * edge.fast * clip(z - OWN_E * turned_by, OWN_MOST)
             places = hall_places.taught(places, edge.pair, boundary, by, 1.0 / (6.0 * params.pairs))
     row = row + 1 if boundary == (last.boundary + way) % 6 else 0
     levels = state.levels
@@ -852,7 +866,7 @@ def _bounded(scale: Scale, state: State, t: float, sharp: bool, driven: bool) ->
         kalman, last = _in_sector(scale, kalman, last, state.lessons, SECTOR_OF_CODE[state.levels.code])
         belief = belief._replace(doubts=(0, 0, 0))
         out = 0.0
-        doubt = max(doubt, UNPROVED)
+        doubt = max(doubt, INCONSISTENT + 1.0)
     elif 0.0 < over < OVERDUE_MOST and not sharp and last.off == 0:
         fastest = width / max(last.age, scale.T_s)
         if last.passed > 1 and omega * side > fastest:
@@ -930,11 +944,11 @@ def _in_sector(scale: Scale, kalman: Filter, last: Last, lessons: Lessons, secto
 
 
 @kernel
-def _with_gains(scale: Scale, kalman: Filter, lessons: Lessons, i_q: float) -> Filter:
+def _with_gains(scale: Scale, kalman: Filter, noise: Four, i_q: float) -> Filter:
     """The filter with the gains of its P, for the next `UPDATE_EVERY` samples."""
     omega = kalman.x[1]
     sign = clip(i_q / scale.i_fade, 1.0)
-    r_d, r_q, _, _ = _noise(scale, lessons, omega, i_q)
+    r_d, r_q, _, _ = noise
     d = _across(kalman.P, omega)
     q = _along(kalman.P, sign)
     return kalman._replace(
@@ -989,7 +1003,8 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
     """
     scale = params.scale
     t = scale.T_s * state.filter.since
-    kalman, watch = _updated(params, state.filter, state.watch, state.lessons, driven)
+    noise = _noise(scale, state.lessons, state.filter.x[1], state.watch.i_q)
+    kalman, watch = _updated(params, state.filter, state.watch, state.lessons, noise, driven)
     state = state._replace(filter=kalman, watch=watch)
     last = state.last
     held = sensor < 0 and last.held > 0
@@ -1025,7 +1040,7 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
         kalman, last = _in_sector(scale, kalman, last, lessons, sector)
     state = _bounded(scale, state._replace(filter=kalman, last=last), t, sharp, driven)
     kalman, last = state.filter, state.last
-    kalman = _with_gains(scale, kalman, lessons, watch.i_q)
+    kalman = _with_gains(scale, kalman, noise, watch.i_q)
     twice = edge_lessons.twice_of(lessons, scale, kalman.x[1])
     six = edge_lessons.six_of(lessons, scale, kalman.x[1])
     return state._replace(filter=kalman, last=last, twice=twice, six=six)
