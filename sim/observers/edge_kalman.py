@@ -171,14 +171,12 @@ ALIKE = 0.15
 ALIKE_MOST = 4.0
 WALK_SHARE = 0.05
 WALK_MOST = 1e4
-OWN_E = 1.0
 INCONSISTENT = 8.0  # doubt that is told: errors are three times as large as the filter expects
 
 # Angle of each edge within a shaft revolution, and the edges' scatter. Tuned unless stated otherwise.
 OWN_SPREAD = 0.61 * DEG  # rad, standard deviation of these angles; at high speed an edge counts as little as that
 OWN_KNOWN = 0.12  # per shaft revolution: how fast they become known
 OWN_SHARE = 0.056  # of an edge's residue that is learned, at high speed
-OWN_MOST = 3.0 * DEG  # rad, chosen: largest residue that is learned from
 OWN_FROM = 0.5  # [omega_b] chosen: speed from which on they are learned; an edge has little weight there
 SCATTER_SHARE = 0.011  # of the square of a residue that is learned as scatter
 SCATTER_LEAST = 0.018 * DEG  # rad
@@ -722,9 +720,10 @@ def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
         seen = clip(z * (z - moved_by) - known, SCATTER_CLIP * scatter)
         scatter = max(scatter + SCATTER_SHARE * (seen - scatter), SCATTER_LEAST * SCATTER_LEAST)
         if params.pairs > 0 and speed > OWN_FROM:
-            turned_by = watch.residue_d / kalman.x[1]
-            by = -OWN_SHARE * edge.fast * edge.fast * clip(z - OWN_E * turned_by, OWN_MOST)
-            places = hall_places.taught(places, edge.pair, boundary, by, 1.0 / (6.0 * params.pairs))
+            share = OWN_SHARE * edge.fast * edge.fast
+            places = hall_places.taught(
+                places, edge.pair, boundary, z, watch.residue_d / kalman.x[1], share, 1.0 / (6.0 * params.pairs)
+            )
     row = row + 1 if boundary == (last.boundary + way) % 6 else 0
     levels = state.levels
     wrong = levels.code ^ hall_levels.beyond(boundary, way)

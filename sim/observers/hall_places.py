@@ -38,6 +38,7 @@ TOLD = 0.5 * DEG  # of a place by that of the other direction; chosen: usual hys
 # a shared offset that counts: beside the back-EMF, edges are exact relative to one another
 ONE = 0.3 * DEG  # of an edge's relative place after one revolution; tuned
 VISITS_TOLD = 4.0  # revolutions that a given place counts as, relative to those of the same direction; chosen
+OWN_MOST = 3.0 * DEG  # rad, chosen: largest residue that is learned from
 SCATTER = 0.12 * DEG  # of an edge from one shaft revolution to the next, at the start; tuned
 
 
@@ -51,6 +52,7 @@ class Places(NamedTuple):
     pair: int  # pole pair of the last edge
     own: Pairs  # rad, what each edge of a shaft revolution adds
     turns: float  # shaft revolutions that `own` was learned from
+    wrong: Six  # rad by which the back-EMF is off at each boundary, the mean of all pole pairs
     scatter: float  # rad2
 
 
@@ -70,7 +72,7 @@ def start(told: Twelve, sd: float) -> Places:
             relative = with_item(relative, k, told[k] - mean(told, k // 6))
             visits = with_item(visits, k, VISITS_TOLD)
             variance = with_item(variance, k, ONE**2 / VISITS_TOLD + min(sd * sd, TOLD**2))
-    return Places(relative, visits, told, variance, 0, ZEROS, 0.0, SCATTER * SCATTER)
+    return Places(relative, visits, told, variance, 0, ZEROS, 0.0, ZERO_6, SCATTER * SCATTER)
 
 
 @kernel
@@ -124,10 +126,17 @@ def pair_of(places: Places, pairs: int, last: int, last_way: int, boundary: int,
 
 
 @kernel
-def taught(places: Places, pair: int, boundary: int, by: float, turns: float) -> Places:
-    """The places after the own part of an edge in `pair` changed `by` (rad); `turns`: share of a shaft revolution."""
+def taught(places: Places, pair: int, boundary: int, z: float, turned: float, share: float, turns: float) -> Places:
+    """The places after an edge in `pair` came `z` rad after the estimate, and the back-EMF at it `turned`.
+
+    Where both did, the shaft was not where the estimate was, and the edge is in its place. What is wrong of the
+    back-EMF repeats with the electrical angle, and so at a boundary in every pair. `turns`: share of a revolution.
+    """
+    wrong = places.wrong[boundary] + share * (turned - places.wrong[boundary])
+    by = -share * clip(z - (turned - wrong), OWN_MOST)
     six = with_item(places.own[pair], boundary, places.own[pair][boundary] + by)
-    return places._replace(pair=pair, own=with_item(places.own, pair, six), turns=places.turns + turns)
+    own = with_item(places.own, pair, six)
+    return places._replace(pair=pair, own=own, wrong=with_item(places.wrong, boundary, wrong), turns=places.turns + turns)
 
 
 @kernel
