@@ -20,7 +20,8 @@ number of samples over which the error stays the same.
   wanders faster, as a drive may turn the shaft that is not seen, and no edge is doubted because the back-EMF is quiet.
   Where none will be known, which a resistance of 0 says, the angle before the first edge is that of the sector.
 - If the inertia is known, the acceleration follows the current and is uncertain by a part of that change; otherwise it
-  wanders slowly. A load step shows in e_d and e_q before the next edge: the filter compares their filtered residues
+  wanders slowly. Before the first edge, and where one is long overdue, friction may hold the shaft: what the current
+  would cause is then uncertain as a whole. A load step shows in e_d and e_q before the next edge: the filter compares their filtered residues
   with the usual ones. Beyond `SURPRISE` times the expected variance it assumes that the acceleration has been different
   for `SURPRISE_BACK` seconds already.
 - An edge far from the estimate is taken as correct, and the filter restarts from it with the mean speed since the last
@@ -106,6 +107,7 @@ ALPHA_WALK_BLIND = 0.4  # [alpha per sqrt(s)] without a voltage: who turns the s
 FEED = 0.9  # share of the acceleration that i_q causes if the inertia is known
 TORQUE_WALK = 2.8  # variance of what a change of i_q may cause besides, by the square of its effect
 TORQUE_TAU = 0.0063  # s, filter of the i_q from which a change counts
+HELD_UP_GAP = 2.0  # times the last interval after which friction or a load may hold the shaft; chosen
 TORQUE_DEAD_BAND = 0.0023  # [i] a smaller change is none
 
 # Start, standard deviations.
@@ -167,11 +169,13 @@ DOUBT_RISES = 0.5  # share of a new one in the mean of the edges' squares, if it
 DOUBT_FALLS = 0.15  # and if it is less
 DOUBT_MOST = 24.0  # five times the standard deviation
 ONCE = 1.0  # doubt that moves nothing yet: of one edge two standard deviations off
-ALIKE = 0.15
-ALIKE_MOST = 4.0
-WALK_SHARE = 0.05
-WALK_MOST = 1e4
 INCONSISTENT = 8.0  # doubt that is told: errors are three times as large as the filter expects
+
+# Walk of the acceleration, from edges that err alike. Chosen.
+ALIKE = 0.15  # product of two residues in a row, by their variance, that chance may bring: 0 if P is right
+ALIKE_MOST = 4.0  # two standard deviations each
+WALK_SHARE = 0.05  # of more than that, by which an edge makes the walk larger
+WALK_MOST = 1e4  # variance: a hundred times the standard deviation
 
 # Angle of each edge within a shaft revolution, and the edges' scatter. Tuned unless stated otherwise.
 OWN_SPREAD = 0.61 * DEG  # rad, standard deviation of these angles; at high speed an edge counts as little as that
@@ -520,7 +524,7 @@ def _ago(P: Symmetric, ago: float) -> Five:
 
 @kernel
 def _updated(
-    params: Params, kalman: Filter, watch: Watch, lessons: Lessons, noise: Four, driven: bool
+    params: Params, kalman: Filter, watch: Watch, lessons: Lessons, noise: Four, driven: bool, held_up: bool
 ) -> tuple[Filter, Watch]:
     """P after the samples since its last update, with what e_d and e_q told in them, and more if they surprise."""
     scale = params.scale
@@ -539,6 +543,8 @@ def _updated(
     wander *= watch.walk
     change = max(abs(watch.i_q - watch.i_slow) / scale.i - TORQUE_DEAD_BAND, 0.0) * scale.alpha
     wander += TORQUE_WALK * change * change / TORQUE_TAU
+    if held_up:
+        wander += square(scale.feed * watch.i_q) / TORQUE_TAU
     i_slow = watch.i_slow + t / TORQUE_TAU * (watch.i_q - watch.i_slow)
     unknown = 2.0 * square(watch.i_q - watch.i_slow) * lessons.drop_P[5] / TORQUE_TAU  # by a resistance not known yet
     walk = (square(B_WALK * scale.v) + unknown) * t / (psi * psi)
@@ -1003,7 +1009,8 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
     scale = params.scale
     t = scale.T_s * state.filter.since
     noise = _noise(scale, state.lessons, state.filter.x[1], state.watch.i_q)
-    kalman, watch = _updated(params, state.filter, state.watch, state.lessons, noise, driven)
+    held_up = state.last.passed == 0 or state.last.age > HELD_UP_GAP * state.last.gap
+    kalman, watch = _updated(params, state.filter, state.watch, state.lessons, noise, driven, held_up)
     state = state._replace(filter=kalman, watch=watch)
     last = state.last
     held = sensor < 0 and last.held > 0

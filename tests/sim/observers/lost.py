@@ -153,6 +153,7 @@ class Held:
     rms: float
     sigma: float  # deg, rms
     faults: int
+    others: Mapping[str, float]  # deg rms of those beside it
 
     @property
     def misses(self) -> list[str]:
@@ -209,5 +210,5 @@ def held(case: Case, observer: str = "edge_kalman") -> Held:
     return Held(
         case, _outside(off, code, pwm_hz), worse, float((np.abs(error) > SIGMAS * sigma).mean()),
         float(np.abs(error).max()), float(np.sqrt((error**2).mean())), float(np.sqrt((sigma**2).mean())),
-        int(bench.faults),
+        int(bench.faults), {name: float(np.sqrt(values.mean())) for name, values in square.items()},
     )  # fmt: skip
