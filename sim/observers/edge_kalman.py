@@ -247,6 +247,7 @@ class Watch(NamedTuple):
     e_q: float  # V, filtered
     residue_d: float  # rad/s, filtered
     residue_q: float
+    sum_d: float  # rad/s, of the residues of e_d since the last edge
     usual_d: float  # rad2/s2, mean squares of the residues
     usual_q: float
     quiet: float  # s since they were larger than that
@@ -712,7 +713,7 @@ def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
     alike = 0.0 if turned or edge.far else clip(z * watch.before / expected, ALIKE_MOST)
     walk = min(max(watch.walk * (1.0 + WALK_SHARE * (edge.fast * alike - ALIKE)), 1.0), WALK_MOST)
     doubt = watch.doubt + more * (DOUBT_RISES if more > 0.0 else DOUBT_FALLS)
-    watch = watch._replace(doubt=min(max(doubt, 0.0), DOUBT_MOST), walk=walk, before=z)
+    watch = watch._replace(doubt=min(max(doubt, 0.0), DOUBT_MOST), walk=walk, before=z, sum_d=0.0)
     if edge.far:
         kalman, z = _from_edge(scale, kalman, lessons.drop[0], last, edge, passed)
     g = _ago(kalman.P, ago)
@@ -727,9 +728,8 @@ def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
         scatter = max(scatter + SCATTER_SHARE * (seen - scatter), SCATTER_LEAST * SCATTER_LEAST)
         if params.pairs > 0 and speed > OWN_FROM:
             share = OWN_SHARE * edge.fast * edge.fast
-            places = hall_places.taught(
-                places, edge.pair, boundary, z, watch.residue_d / kalman.x[1], share, 1.0 / (6.0 * params.pairs)
-            )
+            turned_by = state.watch.sum_d * scale.T_s / (since * kalman.x[1])
+            places = hall_places.taught(places, edge.pair, boundary, z, turned_by, share, 1.0 / (6.0 * params.pairs))
     row = row + 1 if boundary == (last.boundary + way) % 6 else 0
     levels = state.levels
     wrong = levels.code ^ hall_levels.beyond(boundary, way)
@@ -978,12 +978,14 @@ def _corrected(params: Params, state: State, sample: Sample, driven: bool) -> St
     sign = clip(i_q / scale.i_fade, 1.0)
     residue_d = watch.residue_d
     residue_q = watch.residue_q
+    sum_d = watch.sum_d
     if driven:
         by_psi = 1.0 / psi
         z_d = -emf.e_d * by_psi - omega * edge_lessons.turned(lessons, scale, i_q)
         left = (emf.e_q - lessons.drop[1] * sign - lessons.drop[2] * emf.i_q) * by_psi - omega - x[3] * sign
         z_q = left - x[4]
         residue_d += params.a_residue * (z_d - residue_d)
+        sum_d += z_d
         residue_q += params.a_residue * (left - residue_q)
         if params.learn != 0:
             sums = _summed(sums, emf, emf.e_d, psi * left, omega, clip(emf.i_q / scale.i_fade, 1.0))
@@ -994,7 +996,9 @@ def _corrected(params: Params, state: State, sample: Sample, driven: bool) -> St
     e_q = watch.e_q + params.a_tau * (emf.e_q - watch.e_q)
     quiet = watch.quiet + T_s
     weight_d = watch.weight_d + emf.lost.weight
-    watch = watch._replace(i_q=i_q, e_q=e_q, residue_d=residue_d, residue_q=residue_q, quiet=quiet, weight_d=weight_d)
+    watch = watch._replace(
+        i_q=i_q, e_q=e_q, residue_d=residue_d, residue_q=residue_q, sum_d=sum_d, quiet=quiet, weight_d=weight_d
+    )
     kalman = kalman._replace(x=x, since=kalman.since + 1)
     state = state._replace(i_alpha=sample.i_alpha, i_beta=sample.i_beta, filter=kalman, watch=watch, sums=sums)
     return state._replace(last=last._replace(age=last.age + T_s))

@@ -136,7 +136,9 @@ def taught(places: Places, pair: int, boundary: int, z: float, turned: float, sh
     by = -share * clip(z - (turned - wrong), OWN_MOST)
     six = with_item(places.own[pair], boundary, places.own[pair][boundary] + by)
     own = with_item(places.own, pair, six)
-    return places._replace(pair=pair, own=own, wrong=with_item(places.wrong, boundary, wrong), turns=places.turns + turns)
+    return places._replace(
+        pair=pair, own=own, wrong=with_item(places.wrong, boundary, wrong), turns=places.turns + turns
+    )
 
 
 @kernel
