@@ -21,9 +21,11 @@ number of samples over which the error stays the same.
   Where none will be known, which a resistance of 0 says, the angle before the first edge is that of the sector.
 - If the inertia is known, the acceleration follows the current and is uncertain by a part of that change; otherwise it
   wanders slowly. Before the first edge, and where one is long overdue, friction may hold the shaft: what the current
-  would cause is then uncertain as a whole. A load step shows in e_d and e_q before the next edge: the filter compares their filtered residues
-  with the usual ones. Beyond `SURPRISE` times the expected variance it assumes that the acceleration has been different
-  for `SURPRISE_BACK` seconds already.
+  would cause is then uncertain as a whole. Edges that err alike, one after the other, make the walk wider: a load that
+  pulsates does that.
+- A load step shows in e_d and e_q before the next edge: the filter compares their filtered residues with the usual
+  ones. Beyond `SURPRISE` times the expected variance it assumes that the acceleration has been different for
+  `SURPRISE_BACK` seconds already.
 - An edge far from the estimate is taken as correct, and the filter restarts from it with the mean speed since the last
   edge. If the back-EMF is strong and has been quiet, the edge is taken as wrong instead, until all sensors contradict.
 - A pulse and a bounce go back. An edge that comes too early, or turns a rotor back that surely turns forward, is held:
