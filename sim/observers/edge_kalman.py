@@ -867,7 +867,7 @@ def _bounded(scale: Scale, state: State, t: float, sharp: bool, driven: bool) ->
     side = 1.0 if x > 0.0 else -1.0
     over = abs(x) - 0.5 * width - most - scale.T_s * abs(omega)
     turned = t * max(abs(omega), scale.omega_v)
-    out = watch.out + turned if over > 0.0 and regular else max(watch.out - turned, 0.0)
+    out = watch.out + turned if abs(x) > 0.5 * width and regular else max(watch.out - turned, 0.0)
     doubt = watch.doubt
     if over > 0.0 and out > LOST + QUIET * abs(omega):
         kalman, last = _in_sector(scale, kalman, last, state.lessons, SECTOR_OF_CODE[state.levels.code])
