@@ -334,7 +334,7 @@ def turn(lessons: Lessons, sums: Sums, scale: Scale, way: int, boundary: int) ->
     wrong = abs(T1 * abs(mean) - TWO_PI)
     seen = sums.e_q * mean > SEEN * lessons.drop[0] * mean * mean * n
     if wrong < STEADY * TWO_PI and abs(mean) > SLOWEST * scale.omega_v and seen:
-        y = sums.off / 6.0 + sums.e_d / sums.e_q
+        y = sums.off / 6.0 + sums.e_d / (n * lessons.drop[0] * mean)
         for k in range(6):
             y -= places.actual[k if way > 0 else k + 6] / 6.0
         common, common_P = _common_learned(lessons, scale, mean, i_q, -y, max(1.0, APART / T1))
