@@ -869,7 +869,7 @@ def _bounded(scale: Scale, state: State, t: float, sharp: bool, driven: bool) ->
     turned = t * max(abs(omega), scale.omega_v)
     out = watch.out + turned if abs(x) > 0.5 * width and regular else max(watch.out - turned, 0.0)
     doubt = watch.doubt
-    if over > 0.0 and out > LOST + QUIET * abs(omega):
+    if out > LOST + QUIET * abs(omega):
         kalman, last = _in_sector(scale, kalman, last, state.lessons, SECTOR_OF_CODE[state.levels.code])
         belief = belief._replace(doubts=(0, 0, 0))
         out = 0.0
