@@ -82,6 +82,7 @@ LATE = 5e-6  # s, the same of tau; chosen: delay of a sensor and its filter
 EMF_V = 0.072  # [v] across the rotor
 EMF_DARK = 0.067  # [v] more at low speed and current
 EMF_DARK_AT = 100.0  # by the square of i_q / [i]: half of it is left at a tenth of [i]
+EMF_LEGS = 0.03  # of what the legs lose; chosen
 EMF_A = 0.15 * DEG  # rad
 EMF_LOW = 0.69 * DEG  # rad, more at no current
 LOW_AT = 64.0  # by the square of i_q / [i]: half of it is left at an eighth of [i]. Also for `DROP_LOW`
@@ -398,7 +399,8 @@ def _common_learned(
     x = i_q / scale.i
     fast = omega / scale.omega_b
     dark = 1.0 / ((1.0 + EMF_DARK_AT * x * x) * (1.0 + fast * fast))
-    volts = (EMF_V + EMF_DARK * dark) * scale.v / (lessons.drop[0] * omega)
+    legs_lose = abs(lessons.lost[0]) + abs(lessons.lost[1])
+    volts = ((EMF_V + EMF_DARK * dark) * scale.v + EMF_LEGS * legs_lose) / (lessons.drop[0] * omega)
     angle = EMF_A + EMF_LOW / (1.0 + LOW_AT * x * x)
     h = _common(omega, i_q, x)
     g = covariance.across(lessons.common_P, h)
