@@ -7,6 +7,7 @@ oracle is the rotor's angle, and the Hall codes of healthy sensors.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -127,17 +128,29 @@ def operated(bench: Proving, case: Case) -> list[Recorded]:
         runs += [bench.spin(-top, 0.4, load)]
     elif case.operation == "pulsating load":
         runs = [bench.spin(top, 0.8 * longer, load)]
-        period = 60.0 / abs(top)
-        steps = max(8, min(64, round(period / 2e-3)))
-        for _ in range(steps * max(2, round(1.2 * longer / period))):
-            angle = runs[-1]["theta_true"][-1] / bench.params.motor.n_p
-            runs.append(bench.spin(top, period / steps, load + 0.3 * bench.i_max * np.sin(angle)))
-            if sum(len(run) for run in runs) > 4.0 * longer * bench.params.clock.pwm_hz:
-                break
+        turns = max(2, round(1.2 * longer * abs(top) / 60.0))
+        runs += pulsated(bench, top, load, turns, least=2e-3, longest=3.0 * longer)
     elif case.operation == "steady":
         runs = [bench.forced(top, load, 2.0 * longer)]
     else:
         runs = [bench.spin(top, 0.5 * longer, 0.3 * load), bench.spin(0.0, 1.0, load), bench.spin(0.0, 0.7, -load)]
+    return runs
+
+
+def pulsated(
+    bench: Proving, rpm: float, load: float, turns: int, times: int = 1, least: float = 5e-4, longest: float = math.inf
+) -> list[Recorded]:
+    """So many turns against `load` (A) and up to 30 % of the largest current more or less, `times` a turn of the shaft.
+
+    The load changes every `least` s or more seldom. Ends after `longest` s.
+    """
+    period = 60.0 / abs(rpm)
+    steps = max(8, min(64, round(period / least)))
+    swing = 0.3 * bench.i_max
+    runs: list[Recorded] = []
+    for _ in range(round(steps * min(turns, longest / period))):
+        angle = times * bench.truth.theta_e / bench.params.motor.n_p
+        runs.append(bench.spin(rpm, period / steps, load + swing * math.sin(angle)))
     return runs
 
 
