@@ -74,7 +74,7 @@ VISITS = 200.0  # revolutions that the mean of a relative angle reaches back ove
 MOVED = 1.0 * DEG  # rad, chosen: uncertainty that is added to the shared offset once a sensor has moved
 DRIFT = 1e-9  # rad2 per revolution, chosen: shared offsets are never certain for good
 APART = 0.3  # s, chosen: revolutions closer than this count as one observation, their errors are the same
-C_1 = 0.6  # [L_s / psi_f] standard deviation of c_1 at the start: of what L_s may be wrong by
+C_1 = 0.4  # [L_s / psi_f] standard deviation of c_1 at the start: of what L_s may be wrong by
 C_3 = 0.081  # rad at [i], the same of c_3
 LATE = 5e-6  # s, the same of tau; chosen: delay of a sensor and its filter
 

@@ -92,7 +92,7 @@ def test_motors_that_it_was_not_tuned_on(motor, kind):
 def test_steps_reversals_and_starts_of_an_unkind_bench(seed):
     found = steps(taught(bench_24v(KALMAN, seed)))
     assert max(both.own.largest for step, both in found.items() if step.startswith("reversal")) < 7.0
-    assert max(both.own.largest for step, both in found.items() if step.startswith("1 to 4 A")) < 8.0
+    assert max(both.own.largest for step, both in found.items() if step.startswith("1 to 4 A")) < 13.0
     assert found["start from rest, after the second edge"].own.largest < 8.0
     for step, both in found.items():
         if step != "0 to 4 A at 500 r/min":  # there it is in most runs, not in each

@@ -57,12 +57,24 @@ def test_of_one_pole_pair_none_are_told_apart(places):
 
 
 def test_what_one_edge_is_taught_no_other_knows(places):
-    taught = hp.taught(places, 15, 4, 0.02, 0.5)
+    taught = hp.taught(places, 15, 4, -0.02, 0.0, 0.5, 0.25)
     own = np.array(taught.own)
     assert own.shape == (hp.MOST, 6)
-    assert own[15, 4] == 0.02
+    assert own[15, 4] == 0.01
     assert np.count_nonzero(own) == 1
-    assert (taught.turns, taught.relative) == (0.5, places.relative)
+    assert (taught.turns, taught.relative) == (0.25, places.relative)
+
+
+def test_a_shaft_that_turns_unevenly_moves_no_edge_but_a_back_emf_that_is_wrong_in_every_pair_hides_none(places):
+    uneven, wrong = places, places
+    for turn in range(200):
+        for pair in range(8):
+            by = 0.02 * np.sin(2.0 * np.pi * pair / 8)
+            uneven = hp.taught(uneven, pair, 4, by + uneven.own[pair][4], by, 0.05, 1 / 48)
+            wrong = hp.taught(wrong, pair, 4, by + wrong.own[pair][4], 0.03, 0.05, 1 / 48)
+    assert np.abs(np.array(uneven.own)).max() < 0.002
+    own = np.array([wrong.own[pair][4] for pair in range(8)])
+    assert own == pytest.approx(-0.02 * np.sin(2.0 * np.pi * np.arange(8) / 8), abs=0.002)
 
 
 def test_a_sensor_that_moved_takes_its_four_places_along(places):
