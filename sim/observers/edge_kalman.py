@@ -862,12 +862,14 @@ def _bounded(scale: Scale, state: State, t: float, sharp: bool, driven: bool) ->
     if width == 0.0:
         return state._replace(watch=watch._replace(pull=0.0, variance=kalman.P[0]))
     theta, omega, alpha, b, c = kalman.x
-    most = min(OVERDUE * math.sqrt(state.lessons.places.scatter + variance), OVERDUE_FURTHEST)
+    edge = math.sqrt(state.lessons.places.scatter + variance)
+    most = min(OVERDUE * edge, OVERDUE_FURTHEST)
     x = wrap(theta - middle)
     side = 1.0 if x > 0.0 else -1.0
-    over = abs(x) - 0.5 * width - most - scale.T_s * abs(omega)
+    past = abs(x) - 0.5 * width - scale.T_s * abs(omega)
+    over = past - most
     turned = t * max(abs(omega), scale.omega_v)
-    out = watch.out + turned if abs(x) > 0.5 * width and regular else max(watch.out - turned, 0.0)
+    out = watch.out + turned if past > (most if sharp else edge) and regular else max(watch.out - turned, 0.0)
     doubt = watch.doubt
     if out > LOST + QUIET * abs(omega):
         kalman, last = _in_sector(scale, kalman, last, state.lessons, SECTOR_OF_CODE[state.levels.code])

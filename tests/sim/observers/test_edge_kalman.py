@@ -65,11 +65,11 @@ def test_learned_with_noise_at_speed_and_used_at_low_speed(seed):
     fast, slow = rpm(1000), rpm(60)
     s = signals(ramp((0, fast), (2, fast), (2.1, slow), (4, slow)), 3.9, edges_deg=edges_deg, noise=0.02)
     state, out = estimate(s)
-    assert deltas(state) == pytest.approx(np.arange(6) * 60.0 - edges_deg, abs=0.8)
+    assert deltas(state) == pytest.approx(np.arange(6) * 60.0 - edges_deg, abs=1.0)  # the ring as a whole
     assert np.count_nonzero(state.lessons.places.visits) == 6
     late = error_deg(s.theta, out.theta)[int(2.6 / T_S) :]
     assert 0.01 < late.std() < 0.1
-    assert np.abs(late).max() < 0.9
+    assert np.abs(late).max() < 1.1
 
 
 def test_given_edges_are_used_at_once_and_held():
