@@ -79,7 +79,7 @@ class LiveRun:
         self.acts: tuple[Act, ...] = ()
         self._stats = RunStatistics(self.node.number)
         self._judge: Plausibility | None = None
-        self._distrust = Distrust(self.node.number, self._distrusted)
+        self._distrust = Distrust(self.node.number, self._doubted)
         self._gathered = Gathered(())  # what counts and judges
         self._next_progress = 0.0
         self._last_samples = (0, 0.0)
@@ -234,9 +234,8 @@ class LiveRun:
         at = self._mark(f"trigger {condition.text}", tick, tick)
         self.client.note(f"trigger {condition.text}: {condition.channel} was {value:.6g} at {at:.3f} s", "WARN")
 
-    def _distrusted(self, sensor: str, tick: int, now: bool) -> None:
-        """Mark the run where the drive began or ceased to distrust a Hall sensor."""
-        words = f"the drive distrusts Hall sensor {sensor}" if now else f"the drive trusts Hall sensor {sensor} again"
+    def _doubted(self, words: str, tick: int, now: bool) -> None:
+        """Mark the run where the drive began or ceased to doubt a Hall sensor, or its own angle."""
         self.client.note(f"{words}, from {self._mark(words, tick, tick):.3f} s on", "WARN" if now else "INFO")
 
     def _tell_findings(self) -> None:
@@ -273,7 +272,8 @@ class LiveRun:
         if self.acts:
             summary.outputs = "MAY STILL BE ON" if rig.unsafe else "off, by the drive's heartbeat"
         summary.asked = self._judge.speed.came() if self._judge else []
-        summary.distrusted = self._distrust.shares
+        doubts = self._distrust
+        summary.distrusted, summary.moved, summary.angle_lost = doubts.shares, doubts.moved, doubts.lost
         summary.live_view = outputs.viewed()
         with suppress(RecordingError):  # `outputs.failure` tells
             rig.signal.uninterrupted(lambda: outputs.end_recording(as_markdown(summary)))

@@ -154,6 +154,10 @@ class Summary:
     faults: list[str] = field(default_factory=list)
     distrusted: dict[str, float] | None = None
     """By Hall sensor that the drive distrusted, the share of the time; None where it does not tell."""
+    moved: list[str] | None = None
+    """The Hall sensors that the drive found to have moved; None likewise."""
+    angle_lost: float | None = None
+    """Share of the time for which the drive did not know the rotor's angle; None likewise."""
     bus: dict[str, Any] | None = None
     result: str = "ok"
     asked: list[Came] = field(default_factory=list)
@@ -298,6 +302,10 @@ def run_rows(summary: Summary) -> list[list[str]]:
     if summary.distrusted:
         told = ", ".join(f"{name} for {share:.1%} of the time" for name, share in summary.distrusted.items())
         rows.append(["Hall sensors that the drive distrusted", told])
+    if summary.moved:
+        rows.append(["Hall sensors that moved, as the drive found", ", ".join(summary.moved)])
+    if summary.angle_lost:
+        rows.append(["rotor's angle not known to the drive", f"{summary.angle_lost:.1%} of the time"])
     if summary.outputs:
         rows.append(["outputs at the end", summary.outputs])
     rows.append(["faults", ", ".join(summary.faults) or "none"])
