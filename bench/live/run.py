@@ -18,6 +18,7 @@ from bench.device.node import LOAD
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, RecordingError
 from bench.files import check_output
+from bench.findings.motor import CODES as OF_MOTOR
 from bench.live.distrust import Distrust
 from bench.live.gathered import Gathered
 from bench.live.manoeuvres import Act, timed
@@ -239,11 +240,12 @@ class LiveRun:
         self.client.note(f"{words}, from {self._mark(words, tick, tick):.3f} s on", "WARN" if now else "INFO")
 
     def _tell_findings(self) -> None:
-        """Note what is wrong with the Hall sensors, and mark the run there."""
+        """Note what is wrong with Hall sensors, encoder and the motor's parameters, and mark the run there."""
         assert self._judge is not None
-        for found, first, last in self._judge.hall.news():
+        for found, first, last in self._judge.news():
             at = self._mark(found.cause, first, last, Verdict.FAIL)
-            self.client.note(f"Hall sensors, until {at:.1f} s: {found.line}", "WARN")
+            of = "motor" if found.code in OF_MOTOR else "Hall sensors"
+            self.client.note(f"{of}, until {at:.1f} s: {found.line}", "WARN")
 
     # -- the motor ----------------------------------------------------------------------------------------------
 
@@ -272,6 +274,7 @@ class LiveRun:
         if self.acts:
             summary.outputs = "MAY STILL BE ON" if rig.unsafe else "off, by the drive's heartbeat"
         summary.asked = self._judge.speed.came() if self._judge else []
+        summary.motor = self._judge.motor.told() if self._judge else {}
         doubts = self._distrust
         summary.distrusted, summary.moved, summary.angle_lost = doubts.shares, doubts.moved, doubts.lost
         summary.live_view = outputs.viewed()
