@@ -144,11 +144,11 @@ OFF_BY = SECTOR_WIDTH
 
 # -- motor ---------------------------------------------------------------------------------------------------------
 
-PSI_OFF = 0.25
-"""Of psi_f_hat, by which it may be off; likewise of R_s_hat. Magnets lose a tenth when hot, copper gains a quarter;
-`bench accept` measures it with the speed held, and allows a tenth."""
-LOST_VOLTAGE = 0.3
-"""V that dead time and noise may add to a back-EMF."""
+TELLING = {"R_s_hat": 1.5, "L_s_hat": 1.7, "psi_f_hat": 1.3}
+"""Factor by which a parameter of the motor must be off. Copper that is 125 K warmer has 1.5 times the resistance; L_q
+is 1.6 times L_d in one of the motors shipped, and iron that saturates takes a third; hot magnets lose a tenth."""
+SURELY = 1.2
+"""The same, by three standard deviations."""
 TOO_MUCH = 1.25
 """Of i_max, that the rms of the current vector may be: a controller overshoots."""
 NO_SUM, LEAST_SUM = 0.5, 0.3

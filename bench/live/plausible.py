@@ -7,16 +7,16 @@ end names what cannot be right, and what nothing in the stream could show.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from bench.device.heard import Heard
 from bench.findings.finding import Finding
 from bench.findings.motion import BY_ENCODER, BY_ESTIMATE, BY_HALL, Currents, NotFinite, SpeedHeld, far_off
-from bench.findings.motor import FluxLinkage
+from bench.findings.motor import MotorValues
 from bench.findings.thresholds import LEAST_TURNS
-from bench.live.hall_sensors import HallSensors
+from bench.live.hall_sensors import HallSensors, Said
 from bench.signal.channels import flagged, reference_angle, speed_channel
 from bench.signal.position import ErrorTable, last_state
 from bench.signal.units import pole_pairs
@@ -24,6 +24,16 @@ from bench.signal.waveforms.sectors import SECTOR_WIDTH, steps_between
 from protocol.messages import DriveState
 from protocol.signals import Flag, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+
+
+def _of_angle(code: str) -> bool:
+    """Whether a finding says that the encoder's angle is not the rotor's; a wrong zero alone disturbs nothing."""
+    return code.startswith(("encoder", "pole_pairs")) and code != "encoder_zero"
+
+
+def _explained(finding: Finding, motor: Sequence[Finding]) -> bool:
+    """Whether it follows from what is wrong of the motor: the rotor's zero is found with the drive's inductance."""
+    return finding.code in ("encoder_zero", "hall_setting") and any(other.code == "inductance" for other in motor)
 
 
 class Plausibility:
@@ -48,7 +58,9 @@ class Plausibility:
         self._sectors = 0.0  # since the last chunk of samples
         self.speed, self._currents = SpeedHeld(self._by, self._n_p or 1, i_max), Currents(i_max)
         self._not_finite = NotFinite()
-        self._flux = FluxLinkage(parameters)
+        self.motor = MotorValues(stream, parameters)
+        self._named: set[str] = set()  # codes of what was told
+        self._last = (0, 0)  # ticks of the newest chunk
         self.hall = HallSensors(stream, edges, parameters, threaded)
 
     # -- sink ---------------------------------------------------------------------------------------------------
@@ -68,14 +80,9 @@ class Plausibility:
             return
         seconds = len(chunk) / self._rate
         self._currents.add(chunk)
-        self._look_for_causes(chunk, seconds)
+        self.motor.add(chunk)
+        self._last = int(chunk.tick[0]), int(chunk.tick[-1])
         self._look_at_speed(chunk, gone, seconds)
-
-    def _look_for_causes(self, chunk: SampleChunk, seconds: float) -> None:
-        if self._omega and self._names.issuperset(("e_alpha", "e_beta", "i_d", "i_q")) and self._by == BY_ENCODER:
-            emf = float(np.hypot(chunk.physical("e_alpha"), chunk.physical("e_beta")).mean())
-            current = math.hypot(chunk.physical("i_d").mean(), chunk.physical("i_q").mean())
-            self._flux.add(seconds, emf, float(np.abs(chunk.physical(self._omega)).mean()), current)
 
     def _look_at_speed(self, chunk: SampleChunk, gone: float, seconds: float) -> None:
         if self._n_p is None or not (self._omega or self._edges):
@@ -86,6 +93,19 @@ class Plausibility:
             current = float(np.hypot(chunk.physical("i_d"), chunk.physical("i_q")).mean())
             i_q = float(chunk.physical("i_q").mean())
         self.speed.add(seconds, omega, current, i_q)
+
+    def news(self) -> Iterator[Said]:
+        """What was found since the last call, each once; of the motor, as long as nothing is wrong with its angle."""
+        motor = list(self.motor.findings())
+        for said in self.hall.news():
+            if not _explained(said.finding, motor):
+                self._named.add(said.finding.code)
+                yield said
+        if not any(map(_of_angle, self._named)):
+            for finding in motor:
+                if finding.code not in self._named:
+                    self._named.add(finding.code)
+                    yield Said(finding, *self._last)
 
     # -- at the end ---------------------------------------------------------------------------------------------
 
@@ -102,8 +122,8 @@ class Plausibility:
     def causes(self) -> list[Finding]:
         """What is set or wired wrongly, by what the shaft showed as it turned; also of a run that ended in a trip."""
         hall = self.hall.findings()
-        angle_known = not any(finding.code.startswith(("encoder", "pole_pairs")) for finding in hall)
-        return [*hall, *(self._flux.findings() if angle_known else ())]
+        motor = [] if any(_of_angle(finding.code) for finding in hall) else list(self.motor.findings())
+        return [*(finding for finding in hall if not _explained(finding, motor)), *motor]
 
     def unverified(self) -> list[str]:
         """What nothing in the stream could show, each with the reason."""

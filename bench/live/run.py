@@ -18,6 +18,7 @@ from bench.device.node import LOAD
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, RecordingError
 from bench.files import check_output
+from bench.findings.motor import CODES as OF_MOTOR
 from bench.live.distrust import Distrust
 from bench.live.gathered import Gathered
 from bench.live.manoeuvres import Act, timed
@@ -79,7 +80,7 @@ class LiveRun:
         self.acts: tuple[Act, ...] = ()
         self._stats = RunStatistics(self.node.number)
         self._judge: Plausibility | None = None
-        self._distrust = Distrust(self.node.number, self._distrusted)
+        self._distrust = Distrust(self.node.number, self._doubted)
         self._gathered = Gathered(())  # what counts and judges
         self._next_progress = 0.0
         self._last_samples = (0, 0.0)
@@ -234,17 +235,17 @@ class LiveRun:
         at = self._mark(f"trigger {condition.text}", tick, tick)
         self.client.note(f"trigger {condition.text}: {condition.channel} was {value:.6g} at {at:.3f} s", "WARN")
 
-    def _distrusted(self, sensor: str, tick: int, now: bool) -> None:
-        """Mark the run where the drive began or ceased to distrust a Hall sensor."""
-        words = f"the drive distrusts Hall sensor {sensor}" if now else f"the drive trusts Hall sensor {sensor} again"
+    def _doubted(self, words: str, tick: int, now: bool) -> None:
+        """Mark the run where the drive began or ceased to doubt a Hall sensor, or its own angle."""
         self.client.note(f"{words}, from {self._mark(words, tick, tick):.3f} s on", "WARN" if now else "INFO")
 
     def _tell_findings(self) -> None:
-        """Note what is wrong with the Hall sensors, and mark the run there."""
+        """Note what is wrong with Hall sensors, encoder and the motor's parameters, and mark the run there."""
         assert self._judge is not None
-        for found, first, last in self._judge.hall.news():
+        for found, first, last in self._judge.news():
             at = self._mark(found.cause, first, last, Verdict.FAIL)
-            self.client.note(f"Hall sensors, until {at:.1f} s: {found.line}", "WARN")
+            of = "motor" if found.code in OF_MOTOR else "Hall sensors"
+            self.client.note(f"{of}, until {at:.1f} s: {found.line}", "WARN")
 
     # -- the motor ----------------------------------------------------------------------------------------------
 
@@ -273,7 +274,9 @@ class LiveRun:
         if self.acts:
             summary.outputs = "MAY STILL BE ON" if rig.unsafe else "off, by the drive's heartbeat"
         summary.asked = self._judge.speed.came() if self._judge else []
-        summary.distrusted = self._distrust.shares
+        summary.motor = self._judge.motor.told() if self._judge else {}
+        doubts = self._distrust
+        summary.distrusted, summary.moved, summary.angle_lost = doubts.shares, doubts.moved, doubts.lost
         summary.live_view = outputs.viewed()
         with suppress(RecordingError):  # `outputs.failure` tells
             rig.signal.uninterrupted(lambda: outputs.end_recording(as_markdown(summary)))

@@ -154,6 +154,12 @@ class Summary:
     faults: list[str] = field(default_factory=list)
     distrusted: dict[str, float] | None = None
     """By Hall sensor that the drive distrusted, the share of the time; None where it does not tell."""
+    moved: list[str] | None = None
+    """The Hall sensors that the drive found to have moved; None likewise."""
+    angle_lost: float | None = None
+    """Share of the time for which the drive did not know the rotor's angle; None likewise."""
+    motor: dict[str, dict[str, float | bool]] = field(default_factory=dict)
+    """By parameter of the drive, what the run says that it should be, see `MotorValues.told`."""
     bus: dict[str, Any] | None = None
     result: str = "ok"
     asked: list[Came] = field(default_factory=list)
@@ -298,6 +304,14 @@ def run_rows(summary: Summary) -> list[list[str]]:
     if summary.distrusted:
         told = ", ".join(f"{name} for {share:.1%} of the time" for name, share in summary.distrusted.items())
         rows.append(["Hall sensors that the drive distrusted", told])
+    if summary.moved:
+        rows.append(["Hall sensors that moved, as the drive found", ", ".join(summary.moved)])
+    if summary.angle_lost:
+        rows.append(["rotor's angle not known to the drive", f"{summary.angle_lost:.1%} of the time"])
+    for name, said in summary.motor.items():
+        if said["wrong"]:
+            value, within = said["value"], 3.0 * said["sd"]
+            rows.append([f"{name} by the run", f"{value:.3g} +/- {within:.2g}, in the drive {said['parameter']:.3g}"])
     if summary.outputs:
         rows.append(["outputs at the end", summary.outputs])
     rows.append(["faults", ", ".join(summary.faults) or "none"])

@@ -139,7 +139,7 @@ RULES: dict[str, tuple[int, Callable[[Design], float]]] = {
         2,
         lambda d: min(0.6 * d.e_on / d["motor.psi_f"], d["firmware.vector_tracking.omega_on"]),
     ),
-    "firmware.protection.hall_emf": (2, lambda d: 2.29 * d.e_on),
+    "firmware.protection.hall_emf": (2, lambda d: 0.0125 * d["inverter.u_dc"]),
     "firmware.protection.u_dc_min": (3, lambda d: 0.5 * d["inverter.u_dc"]),
     "firmware.protection.u_dc_max": (3, lambda d: 4.0 / 3.0 * d["inverter.u_dc"]),
     "firmware.protection.i_trip": (2, lambda d: 2.0 * (d["firmware.i_max"] or d["motor.i_max"])),

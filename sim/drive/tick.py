@@ -496,9 +496,11 @@ def advance(
             u_dc,
             code,
             _implausible(front.hall, hall_before, code),
-            front.hall.now.direction,
-            e_alpha,
-            e_beta,
+            seen.hall.sector,
+            seen.u_alpha,
+            seen.u_beta,
+            seen.i_alpha,
+            seen.i_beta,
         )
         firmware, result = tick_firmware.step(params.firmware, firmware, command.drive, seen_by_protection, seen, angle)
 

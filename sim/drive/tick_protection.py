@@ -11,10 +11,15 @@ Hall sensors, by a level of doubt between 0 and 1 that trips when it is full:
 A broken or shorted wire makes one sector in six illegal and another one skipped, however the shaft turns. An EMI
 pulse, over within microseconds, is one implausible edge at most.
 
-Exchanged wires make a legal sequence that runs backwards. While the outputs are on the back-EMF (6) tells which way
-the rotor turns: the angle by which it turns against the direction of the Hall sensors adds up, the angle with it takes
-away, and `hall_turns` electrical turns trip. A rotor that reverses is seen by the Hall sensors within a third of a
-turn. The back-EMF is smoothed, since currents that are differentiated bring noise, and not looked at below `hall_emf`.
+Exchanged wires make a legal sequence that runs backwards. While the outputs are on the back-EMF (5) tells which way
+the rotor turns. It is turned by the angle of the Hall sector and added up while the Hall sensors go once around. Of a
+rotor that turns with them nothing is left, at any speed; of one that turns against them, 2 pi psi_f. Such a turn
+counts if what is left is more than
+- `hall_emf` over its time,
+- `SHARE` of what psi_f_hat would leave: misplaced edges leave some, too, and
+- what currents can have left in that direction, however they turn, if R_s_hat and L_s_hat are anything from half to
+  twice the true values, and a dead time's `hall_emf` is left along them.
+Any other turn takes one away. `hall_turns` trip.
 
 It never switches anything off: `tick_firmware` latches the faults.
 """
@@ -28,11 +33,13 @@ from typing import NamedTuple
 from protocol.messages import Fault
 from sim.config.sections import Protection
 from sim.numba_cache import kernel
+from sim.observers.hall_speed import SECTOR_WIDTH
 
 OVERCURRENT, OVERSPEED = int(Fault.OVERCURRENT), int(Fault.OVERSPEED)
 UNDERVOLTAGE, OVERVOLTAGE, HALL = int(Fault.UNDERVOLTAGE), int(Fault.OVERVOLTAGE), int(Fault.HALL)
 FULL = 1.0 - 1e-9  # doubt that trips: parts add up to 1 but for rounding
-SMOOTH = 16.0  # samples, the time constant of the back-EMF's mean
+SHARE = 0.3  # of 2 pi psi_f_hat; exchanged wires leave 0.95 of 2 pi psi_f, edges that are 10 deg off 0.1
+TURN = 6  # sectors
 
 
 class Params(NamedTuple):
@@ -46,8 +53,11 @@ class Params(NamedTuple):
     doubt_sample: float  # added by a sample with an illegal code
     doubt_edge: float  # added by an implausible edge
     doubt_leak: float  # taken away by any other sample
-    opposed_max: float  # electrical rad
+    opposed_max: float  # electrical turns
     e_min: float  # V
+    left_min: float  # V, added up over samples
+    R_s: float  # ohm
+    L_by_T: float  # L_s / T_s
 
 
 class Sensed(NamedTuple):
@@ -58,9 +68,24 @@ class Sensed(NamedTuple):
     u_dc: float  # V
     hall: int  # code
     edges: int  # implausible edges since the last sample
-    direction: int  # by the Hall sensors: +1, -1, 0: unknown
-    e_alpha: float  # back-EMF (6), V
+    sector: int  # by the Hall sensors: 0..5, -1: unknown
+    u_alpha: float  # over the period that ends here, V
+    u_beta: float
+    i_alpha: float  # A
+    i_beta: float
+
+
+class Turn(NamedTuple):
+    """What was added up since the Hall sensors were last once around, each sample turned by its sector's angle."""
+
+    sectors: int  # passed, by direction
+    n: int  # samples
+    e_alpha: float  # back-EMF (5), V
     e_beta: float
+    r_alpha: float  # V, along the current, by R_s_hat and a dead time
+    r_beta: float
+    l_alpha: float  # V, by L_s_hat
+    l_beta: float
 
 
 class State(NamedTuple):
@@ -68,9 +93,11 @@ class State(NamedTuple):
 
     fast: int  # periods in a row above the largest speed
     doubt: float  # of the Hall sensors, 0..1
-    opposed: float  # angle by which the back-EMF turned against the Hall sensors, electrical rad
-    e_alpha: float  # of the back-EMF smoothed, V
-    e_beta: float
+    opposed: float  # electrical turns of the back-EMF against the Hall sensors
+    turn: Turn
+    sector: int  # at the last sample
+    i_alpha: float  # A, at the last sample
+    i_beta: float
     causes: int  # Fault bits whose cause is there now
 
 
@@ -86,15 +113,24 @@ def make_params(pwm_hz: float, drive: Mapping[str, float], encoder: bool, limits
         T_s / limits.hall_fault_time,
         1.0 / limits.hall_fault_count,
         T_s / limits.hall_fault_leak,
-        2.0 * math.pi * limits.hall_turns,
+        limits.hall_turns,
         limits.hall_emf,
+        SHARE * 2.0 * math.pi * drive["psi_f_hat"] * pwm_hz,
+        drive["R_s_hat"],
+        drive["L_s_hat"] * pwm_hz,
     )
+
+
+@kernel
+def _begun() -> Turn:
+    """A turn begins."""
+    return Turn(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @kernel
 def init() -> State:
     """Nothing seen yet."""
-    return State(0, 0.0, 0.0, 0.0, 0.0, 0)
+    return State(0, 0.0, 0.0, _begun(), -1, 0.0, 0.0, 0)
 
 
 def forgiven(state: State) -> State:
@@ -113,16 +149,38 @@ def _doubt(params: Params, doubt: float, hall: int, edges: int) -> float:
 
 
 @kernel
-def _opposed(params: Params, state: State, sensed: Sensed, e_alpha: float, e_beta: float) -> float:
-    """The angle against the Hall sensors after a sample with the outputs on."""
-    before = state.e_alpha * state.e_alpha + state.e_beta * state.e_beta
-    square = e_alpha * e_alpha + e_beta * e_beta
-    if square < params.e_min * params.e_min:
-        return state.opposed
-    with_hall = sensed.direction * (state.e_alpha * e_beta - state.e_beta * e_alpha)
-    if with_hall >= 0.0 and state.opposed == 0.0:
-        return 0.0
-    return max(state.opposed - with_hall / max(square, before), 0.0)  # a small angle is its sine
+def _added(params: Params, state: State, sensed: Sensed) -> Turn:
+    """The turn with this sample."""
+    turn = state.turn
+    c = math.cos(sensed.sector * SECTOR_WIDTH)
+    s = math.sin(sensed.sector * SECTOR_WIDTH)
+    i_alpha = 0.5 * (sensed.i_alpha + state.i_alpha)
+    i_beta = 0.5 * (sensed.i_beta + state.i_beta)
+    along = params.R_s + params.e_min / max(math.hypot(i_alpha, i_beta), 1e-6)
+    l_alpha = params.L_by_T * (sensed.i_alpha - state.i_alpha)
+    l_beta = params.L_by_T * (sensed.i_beta - state.i_beta)
+    e_alpha = sensed.u_alpha - params.R_s * i_alpha - l_alpha
+    e_beta = sensed.u_beta - params.R_s * i_beta - l_beta
+    return Turn(
+        turn.sectors + (sensed.sector - state.sector + 3) % TURN - 3,
+        turn.n + 1,
+        turn.e_alpha + c * e_alpha - s * e_beta,
+        turn.e_beta + c * e_beta + s * e_alpha,
+        turn.r_alpha + along * (c * i_alpha - s * i_beta),
+        turn.r_beta + along * (c * i_beta + s * i_alpha),
+        turn.l_alpha + c * l_alpha - s * l_beta,
+        turn.l_beta + c * l_beta + s * l_alpha,
+    )
+
+
+@kernel
+def _against(params: Params, turn: Turn) -> bool:
+    """Whether the rotor certainly turned against the Hall sensors."""
+    by_r = turn.e_alpha * turn.r_alpha + turn.e_beta * turn.r_beta
+    by_l = turn.e_alpha * turn.l_alpha + turn.e_beta * turn.l_beta
+    unsure = max(by_r, -0.5 * by_r) + max(by_l, -0.5 * by_l)
+    size = math.hypot(turn.e_alpha, turn.e_beta)
+    return size * (size - max(params.e_min * turn.n, params.left_min)) > unsure
 
 
 @kernel
@@ -130,9 +188,15 @@ def step(params: Params, state: State, sensed: Sensed, on: bool) -> State:
     """One control period; `on`: the outputs were on over it."""
     fast = state.fast + 1 if abs(sensed.omega) > params.omega_trip else 0
     doubt = _doubt(params, state.doubt, sensed.hall, sensed.edges)
-    e_alpha = state.e_alpha + (sensed.e_alpha - state.e_alpha) / SMOOTH
-    e_beta = state.e_beta + (sensed.e_beta - state.e_beta) / SMOOTH
-    opposed = _opposed(params, state, sensed, e_alpha, e_beta) if on else 0.0
+    opposed = 0.0
+    turn = _begun()
+    if on:
+        opposed = state.opposed
+        if state.sector >= 0 and (sensed.sector - state.sector + 1) % TURN <= 2:  # else a sector was skipped
+            turn = _added(params, state, sensed)
+        if abs(turn.sectors) >= TURN:
+            opposed = opposed + 1.0 if _against(params, turn) else max(opposed - 1.0, 0.0)
+            turn = _begun()
     causes = 0
     if sensed.current > params.i_trip:
         causes |= OVERCURRENT
@@ -142,6 +206,6 @@ def step(params: Params, state: State, sensed: Sensed, on: bool) -> State:
         causes |= UNDERVOLTAGE
     if sensed.u_dc > params.u_dc_max:
         causes |= OVERVOLTAGE
-    if doubt >= FULL or opposed > params.opposed_max:
+    if doubt >= FULL or opposed >= params.opposed_max:
         causes |= HALL
-    return State(fast, doubt, opposed, e_alpha, e_beta, causes)
+    return State(fast, doubt, opposed, turn, sensed.sector, sensed.i_alpha, sensed.i_beta, causes)

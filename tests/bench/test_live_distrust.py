@@ -21,7 +21,9 @@ PATIENT = {"firmware__protection__hall_fault_time": 1.0, "firmware__protection__
 DEAD_B = {"faults__hall__contact_open": [0.0, 0.999, 0.0], "faults__hall__contact_stretch": 1.0}
 FOR_A_SECOND = {"faults__begin": 2.0, "faults__end": 3.0}
 LOOSE_B = {"faults__hall__contact_open": [0.0, 0.3, 0.0], "faults__begin": 2.0}
-AT = re.compile(r"(the drive (?:distrusts|trusts) Hall sensor ([abc])(?: again)?), from (\d+\.\d+) s on")
+AT = re.compile(
+    r"(the drive (?:distrusts|trusts|finds that) Hall sensor ([abc])(?: again| has moved)?), from (\d+\.\d+) s on"
+)
 
 
 def words_of(path: Path, settings: dict[str, Any], **options: Any) -> tuple[LiveOutcome, list[re.Match[str]], Run]:
@@ -53,7 +55,7 @@ def test_a_sensor_that_is_dead_for_a_second_is_named_and_so_is_that_it_came_back
     half = int(np.searchsorted(samples.tick, (first + last) // 2))
     for item in (part(samples, 0, half), ClockRestarted(1, 0), part(samples, 0, 1000)):
         distrust.take(item)
-    assert anew == [("b", first, True)]  # it has booted since, and trusts all three
+    assert anew == [("the drive distrusts Hall sensor b", first, True)]  # it has booted since, and trusts all three
 
 
 def test_a_drive_that_trips_distrusts_the_dead_sensor_to_the_end(tmp_path: Path) -> None:
@@ -72,6 +74,32 @@ def test_of_a_loose_contact_little_is_said(tmp_path: Path) -> None:
         told = [(found[1].endswith("again"), float(found[3])) for found in said if found[2] == sensor]
         assert [again for again, _ in told] == [bool(k % 2) for k in range(len(told))]
         assert (np.diff([at for _, at in told])[1::2] >= SETTLED).all()
+
+
+def test_a_sensor_that_moves_is_named_once(tmp_path: Path) -> None:
+    late = {"faults__hall__rise_delay": [0.0, 0.0, 3e-4], "faults__hall__fall_delay": [0.0, 0.0, 3e-4]}  # 6 deg
+    ended, said, recording = words_of(tmp_path / "a.run", late | {"faults__begin": 3.0}, speed_rpm=660.0, duration=5.0)
+    assert [found[1] for found in said] == ["the drive finds that Hall sensor c has moved"]
+    assert 3.0 < float(said[0][3]) < 3.5
+    assert [mark.name for mark in recording.marks if "moved" in mark.name] == [said[0][1]]
+    assert (ended.summary.moved, ended.summary.distrusted, ended.summary.angle_lost) == (["c"], {}, 0.0)
+    assert ["Hall sensors that moved, as the drive found", "c"] in run_rows(ended.summary)
+
+
+def test_a_drive_that_loses_the_angle_is_said_to_and_that_it_has_found_it_again(tmp_path: Path) -> None:
+    _, _, recording = words_of(tmp_path / "a.run", {}, duration=3.0)
+    samples, told = recording.samples, []
+    n = len(samples)
+    samples.raw[CHANNEL][n // 4 : n // 3 : 2] |= 0b1000000  # it flickers
+    distrust = Distrust(1, lambda *words: told.append(words))
+    for k in range(0, n, 500):
+        distrust.take(part(samples, k, min(k + 500, n)))
+    lost = np.flatnonzero(samples.raw[CHANNEL] & 0b1000000)
+    assert told == [
+        ("the drive does not know the rotor's angle", int(samples.tick[lost[0]]), True),
+        ("the drive knows the rotor's angle again", int(samples.tick[lost[-1]]), False),
+    ]
+    assert (distrust.lost, distrust.shares, distrust.moved) == (pytest.approx(len(lost) / n), {}, [])
 
 
 def test_of_a_healthy_drive_and_of_one_that_does_not_tell_nothing_is_said(tmp_path: Path) -> None:

@@ -106,7 +106,9 @@ def test_wrong_pole_pairs_and_a_wrong_flux_linkage_are_named(name: str) -> None:
         assert ended.exit_code == 1
     for factor in chosen("flux linkage", (0.5, 2.0), 1):
         ended = show(name, firmware__psi_f_hat=factor * motor.psi_f)
-        said = re.search(r"psi_f_hat = (\S+) mV s, but by back-EMF and encoder it is (\S+) mV s", ended.summary.result)
+        said = re.search(
+            r"psi_f_hat = (\S+) mV s, but by voltages, currents and angle it is (\S+) mV s", ended.summary.result
+        )
         assert float(said[1]) == pytest.approx(1e3 * factor * motor.psi_f, rel=0.01)
         assert (float(said[2]), ended.exit_code) == (pytest.approx(1e3 * motor.psi_f, rel=0.03), 1)
 

@@ -7,6 +7,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from unittest.mock import patch
 
 from bench.device.client import Client
@@ -28,7 +29,9 @@ TARGET = f"serial:/dev/ttyTEST{os.getpid()}"  # a target is locked: no two proce
 NETWORKS = ("bytes", "CAN", "CAN FD")
 
 
-def simulated(seed: int = 1, network: str = "bytes", compiled: bool = False, **settings: float) -> SimulatedDevice:
+def simulated(
+    seed: int = 1, network: str = "bytes", compiled: bool = False, config: Path | None = None, **settings: float
+) -> SimulatedDevice:
     """A bench in virtual time; settings as `section__name=value`. `compiled`: behind the device side in C."""
     overrides = {key.replace("__", "."): value for key, value in settings.items()}
     bus = {"CAN": BusRates(1_000_000), "CAN FD": BusRates(1_000_000, 5_000_000)}.get(network)
@@ -37,7 +40,7 @@ def simulated(seed: int = 1, network: str = "bytes", compiled: bool = False, **s
         wired = CanNetwork(bus, compiled=compiled)
     elif compiled:
         wired = ByteNetwork(CompiledLink())
-    return SimulatedDevice(load_params(None, overrides), seed, network=wired)
+    return SimulatedDevice(load_params(config, overrides), seed, network=wired)
 
 
 def physical(seed: int = 1) -> SimulatedDevice:
