@@ -23,7 +23,7 @@ MOST = {"outside": 2, "trip": 0, "sigma": 8, "worse": 30}
 def test_it_does_not_trip_and_knows_its_error_within_ten_per_cent_of_the_time(seed):
     found = held(drawn(seed))
     assert found.faults == 0, found
-    assert found.outside < 0.2, found
+    assert found.outside < 0.1, found
     assert found.beyond < 0.1, found
 
 
