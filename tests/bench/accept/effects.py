@@ -6,6 +6,7 @@ fault is proved by how much that number differs from the one of a healthy drive.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import sys
@@ -30,6 +31,7 @@ R, L, PSI, N_P = 0.158, 0.176e-3, 6.55e-3, 6  # of the default motor
 K_I = 2.0 * math.pi * 800.0 * R  # V/(A s), of the current loop
 SMOOTH = 0.3  # A, inverter.i_smooth
 SETTLED = 0.4  # s
+ENCODER = int(AngleSource.ENCODER)
 
 
 def wrapped(angle: Array) -> Array:
@@ -39,7 +41,7 @@ def wrapped(angle: Array) -> Array:
 
 def turning(rpm: float, i_q: float = 4.0, i_d: float = 0.0, *, seconds: float = 0.5, **settings: Any) -> Recorded:
     """Speed forced by the load machine, currents by the drive on its encoder; all observers run."""
-    rig = at_work({"firmware.observer": 0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, **settings})
     rig.load_setpoint(SetpointMode.SPEED, rpm * RPM)
     rig.setpoint(SetpointMode.CURRENT, i_q, i_d)
     rig.run(SETTLED)
@@ -80,9 +82,7 @@ def dq(run: Recorded) -> tuple[Array, Array]:
 def current_errors(settings: Settings) -> Iterator[tuple[Array, Array]]:
     """Reported and true current of each phase, A."""
     run = turning(1000.0, **settings)
-    yield from zip(
-        (run["i_a"], run["i_b"], run["i_c"]), phases(run["i_alpha_true"], run["i_beta_true"]), strict=True
-    )
+    yield from zip((run["i_a"], run["i_b"], run["i_c"]), phases(run["i_alpha_true"], run["i_beta_true"]), strict=True)
 
 
 def current_gain(settings: Settings) -> float:
@@ -212,7 +212,7 @@ def resistance(settings: Settings) -> float:
 
 def inductance(settings: Settings) -> float:
     """H, by what a step of the d current in a motor that is held takes of volt seconds."""
-    rig = at_work({"firmware.observer": 0, "mechanics.theta_0_deg": 0.0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, "mechanics.theta_0_deg": 0.0, **settings})
     rig.load_setpoint(SetpointMode.SPEED, 0.0)
     rig.setpoint(SetpointMode.CURRENT, 0.0, 2.0)
     before = rig.run(0.1)
@@ -233,7 +233,7 @@ def friction(settings: Settings) -> float:
 
 def inertia(settings: Settings) -> float:
     """kg m2, by torque and acceleration from rest."""
-    rig = at_work({"firmware.observer": 0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, **settings})
     rig.setpoint(SetpointMode.CURRENT, 4.0, 0.0)
     run = rig.run(0.1)
     late = slice(400, None)
@@ -248,9 +248,7 @@ def lost_volts(settings: Settings) -> tuple[float, float]:
     theta, omega = run["theta_true"], run["omega_true"]
     emf = [-omega * PSI * np.sin(theta), omega * PSI * np.cos(theta)]
     mean = [0.5 * (x[1:] + x[:-1]) for x in i]
-    took = [
-        R * m + L * np.diff(x) / T_S + 0.5 * (e[1:] + e[:-1]) for m, x, e in zip(mean, i, emf, strict=True)
-    ]
+    took = [R * m + L * np.diff(x) / T_S + 0.5 * (e[1:] + e[:-1]) for m, x, e in zip(mean, i, emf, strict=True)]
     rest = phases(run["u_alpha"][1:] - took[0], run["u_beta"][1:] - took[1])
     shape = [np.clip(x / SMOOTH, -1.0, 1.0) for x in phases(mean[0], mean[1])]
     up, down = ([pick(x, 0.0) for x in shape] for pick in (np.maximum, np.minimum))
@@ -297,12 +295,12 @@ def true_current(settings: Settings) -> float:
 
 def true_d_current(settings: Settings) -> float:
     """A, while the drive holds a speed on its encoder."""
-    return float(np.mean(dq(own_speed(1000.0, **{"firmware.observer": 0, **settings}))[0]))
+    return float(np.mean(dq(own_speed(1000.0, **{"firmware.observer": ENCODER, **settings}))[0]))
 
 
 def largest_current(settings: Settings) -> float:
     """True q current of a drive whose speed the load machine keeps from rising, A."""
-    rig = at_work({"firmware.observer": 0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, **settings})
     rig.load_setpoint(SetpointMode.SPEED, 500.0 * RPM)
     rig.setpoint(SetpointMode.SPEED, 1500.0 * RPM)
     rig.run(0.5)
@@ -311,7 +309,7 @@ def largest_current(settings: Settings) -> float:
 
 def acceleration(settings: Settings) -> float:
     """rad/s2 from 30 to 150 rad/s on the encoder."""
-    rig = at_work({"firmware.observer": 0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, **settings})
     rig.setpoint(SetpointMode.SPEED, 200.0)
     run = rig.run(0.4)
     inside = (run["omega_m"] > 30.0) & (run["omega_m"] < 150.0)
@@ -320,7 +318,7 @@ def acceleration(settings: Settings) -> float:
 
 def step_of_current(rpm: float, settings: Settings, times: int = 8) -> tuple[Array, Array]:
     """True d and q current after steps of the q current from 0 to 4 A, each 5 ms, averaged; A."""
-    rig = at_work({"firmware.observer": 0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, **settings})
     rig.load_setpoint(SetpointMode.SPEED, rpm * RPM)
     rig.run(SETTLED)
     found = []
@@ -354,7 +352,7 @@ def d_error_area(settings: Settings) -> float:
 
 def sped_up(settings: Settings) -> tuple[float, float]:
     """A s of true d and q current less 2 A while the load machine goes from 500 to 2000 r/min."""
-    rig = at_work({"firmware.observer": 0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, **settings})
     rig.load_setpoint(SetpointMode.SPEED, 500.0 * RPM)
     rig.setpoint(SetpointMode.CURRENT, 2.0, 0.0)
     rig.run(SETTLED)
@@ -376,7 +374,7 @@ def q_area_speeding(settings: Settings) -> float:
 
 def beyond_the_voltage(settings: Settings) -> tuple[Recorded, Recorded]:
     """More speed than the voltage allows, and the 0.1 s after it has gone."""
-    rig = at_work({"firmware.observer": 0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, **settings})
     rig.load_setpoint(SetpointMode.SPEED, 345.0)
     rig.setpoint(SetpointMode.CURRENT, 6.0, 0.0)
     high = rig.run(0.5)
@@ -397,7 +395,7 @@ def current_after_the_limit(settings: Settings) -> float:
 
 def speed_step(settings: Settings) -> Recorded:
     """From 500 to 1000 r/min on the encoder, without a ramp that matters."""
-    rig = at_work({"firmware.observer": 0, "firmware.alpha_m_max": 20000.0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, "firmware.alpha_m_max": 20000.0, **settings})
     rig.setpoint(SetpointMode.SPEED, 500.0 * RPM)
     rig.run(0.5)
     rig.setpoint(SetpointMode.SPEED, 1000.0 * RPM)
@@ -410,8 +408,8 @@ def overshoot(settings: Settings) -> float:
 
 
 def gives_way(settings: Settings) -> tuple[float, float]:
-    """What a load of 0.2 N m does to a drive at 1000 r/min on its encoder: largest fall, rad/s, and its integral, rad."""
-    rig = at_work({"firmware.observer": 0, **settings})
+    """What 0.2 N m do to a drive at 1000 r/min on its encoder: the largest fall of speed, rad/s, and its area, rad."""
+    rig = at_work({"firmware.observer": ENCODER, **settings})
     rig.setpoint(SetpointMode.SPEED, 1000.0 * RPM)
     rig.run(0.8)
     rest = np.mean(rig.run(0.2)["omega_m"])
@@ -483,7 +481,7 @@ def response(hz: float) -> Callable[[Settings], float]:
 
 def speed_lag(settings: Settings) -> float:
     """True less estimated speed of the vector-tracking observer at a constant acceleration, electrical rad/s."""
-    rig = at_work({"firmware.observer": 0, "load.alpha_m_max": 1000.0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, "load.alpha_m_max": 1000.0, **settings})
     rig.load_setpoint(SetpointMode.SPEED, 50.0)
     rig.setpoint(SetpointMode.CURRENT, 2.0, 0.0)
     rig.run(SETTLED)
@@ -495,7 +493,7 @@ def speed_lag(settings: Settings) -> float:
 
 def correction_from(settings: Settings) -> float:
     """Electrical speed, rad/s, at which the vector-tracking observer's correction begins."""
-    rig = at_work({"firmware.observer": 0, "load.alpha_m_max": 4.0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, "load.alpha_m_max": 4.0, **settings})
     rig.load_setpoint(SetpointMode.SPEED, 15.0)
     rig.setpoint(SetpointMode.CURRENT, 2.0, 0.0)
     run = rig.run(4.0)
@@ -505,7 +503,9 @@ def correction_from(settings: Settings) -> float:
 def with_load_angle(settings: Settings) -> float:
     """The vector-tracking observer's error with the load angle that it finds after a step of the current, deg."""
     own = {"load_angle_comp": 1, "k_pc": 0.0, "k_ic": 200.0}
-    rig = at_work({"firmware.observer": 0, **{f"firmware.vector_tracking.{k}": v for k, v in own.items()}, **settings})
+    rig = at_work(
+        {"firmware.observer": ENCODER, **{f"firmware.vector_tracking.{k}": v for k, v in own.items()}, **settings}
+    )
     rig.load_setpoint(SetpointMode.SPEED, 1000.0 * RPM)
     rig.run(SETTLED)
     rig.setpoint(SetpointMode.CURRENT, 4.0, 0.0)
@@ -518,7 +518,7 @@ def with_load_angle(settings: Settings) -> float:
 def learned_dead_time(settings: Settings) -> float:
     """What a leg still loses once a drive has learned for 3 s, V; it was told half the dead time."""
     own = {"dead_time_learn": 1, "dead_time_comp": 0.5}
-    rig = at_work({"firmware.observer": 0, **{f"firmware.dead_time.{k}": v for k, v in own.items()}, **settings})
+    rig = at_work({"firmware.observer": ENCODER, **{f"firmware.dead_time.{k}": v for k, v in own.items()}, **settings})
     rig.load_setpoint(SetpointMode.SPEED, 300.0 * RPM)
     rig.setpoint(SetpointMode.CURRENT, 3.0, 0.0)
     rig.run(3.0)
@@ -542,7 +542,7 @@ def trips(rig: Rig, seconds: float, step: Callable[[float], None] = lambda t: No
 
 def current_at_trip(settings: Settings) -> float:
     """A, true, with a threshold of 4 A."""
-    rig = at_work({"firmware.observer": 0, "firmware.protection.i_trip": 4.0, **settings})
+    rig = at_work({"firmware.observer": ENCODER, "firmware.protection.i_trip": 4.0, **settings})
     rig.load_setpoint(SetpointMode.SPEED, 0.0)
     seen = [0.0]
 
@@ -556,7 +556,7 @@ def current_at_trip(settings: Settings) -> float:
 
 def speed_at_trip(settings: Settings) -> float:
     """Mechanical rad/s, with a threshold of 200."""
-    own = {"firmware.observer": 0, "firmware.protection.omega_m_trip": 200.0, "load.alpha_m_max": 400.0}
+    own = {"firmware.observer": ENCODER, "firmware.protection.omega_m_trip": 200.0, "load.alpha_m_max": 400.0}
     rig = at_work({**own, **settings})
     rig.load_setpoint(SetpointMode.SPEED, 350.0)
     rig.setpoint(SetpointMode.CURRENT, 0.0, 0.0)
@@ -568,7 +568,7 @@ def threshold_that_trips(name: str, toward: float) -> Callable[[Settings], float
     """The threshold of a voltage at which a drive on 24 V trips, coming from `toward`, V."""
 
     def measured(settings: Settings) -> float:
-        rig = at_work({"firmware.observer": 0, **settings})
+        rig = at_work({"firmware.observer": ENCODER, **settings})
         at = [toward]
 
         def step(share: float) -> None:
@@ -585,7 +585,7 @@ def turns_to_trip(fault: str, number: float) -> Callable[[Settings], float]:
     """Electrical turns with the wires so until the drive trips; 60 if it does not."""
 
     def measured(settings: Settings) -> float:
-        rig = at_work({"firmware.observer": 0, **settings})
+        rig = at_work({"firmware.observer": ENCODER, **settings})
         rig.load_setpoint(SetpointMode.SPEED, 1000.0 * RPM)
         rig.setpoint(SetpointMode.CURRENT, 1.0, 0.0)
         rig.run(SETTLED)
@@ -595,6 +595,42 @@ def turns_to_trip(fault: str, number: float) -> Callable[[Settings], float]:
         return float((rig.truth.theta_e - before) / (2.0 * math.pi))
 
     return measured
+
+
+# -- all of it ------------------------------------------------------------------------------------------------------
+
+
+def recorded(settings: Settings) -> float:
+    """A number of all that a fixed short run records: start, load, load angle, reversal, currents, two trips."""
+    rig = at_work(settings)
+    digest = hashlib.sha256()
+
+    def go_on(seconds: float) -> None:
+        run = rig.run(seconds)
+        digest.update(run.block.tobytes() + run.captured.tobytes() + bytes([int(rig.faults) & 255]))
+
+    rig.setpoint(SetpointMode.SPEED, 100.0)
+    go_on(0.4)
+    rig.load_setpoint(SetpointMode.TORQUE, 0.2)
+    go_on(0.2)
+    rig.set_param("k_pc", 0.01)
+    rig.set_param("load_angle_comp", 1.0)
+    go_on(0.2)
+    rig.setpoint(SetpointMode.SPEED, -250.0)
+    go_on(0.6)
+    for source in (AngleSource.AVERAGE_SPEED, AngleSource.EDGE_KALMAN):
+        rig.set_param("observer", float(source))
+        go_on(0.2)
+    rig.load_setpoint(SetpointMode.SPEED, 345.0)
+    rig.setpoint(SetpointMode.CURRENT, 6.0, 0.0)
+    go_on(0.5)
+    rig.load_setpoint(SetpointMode.SPEED, 2.0)
+    go_on(0.5)
+    for name, value in (("hall_open", 1.0), ("hall_open", 0.0)):
+        rig.load_setpoint(SetpointMode.SPEED, 50.0)
+        rig.set_load_param(name, value)
+        go_on(0.3)
+    return float(int.from_bytes(digest.digest()[:6], "big"))
 
 
 # -- shared ---------------------------------------------------------------------------------------------------------
@@ -613,7 +649,6 @@ EFFECTS: dict[str, Callable[[Settings], float]] = {
     "turns_open": turns_to_trip("hall_open", 1.0), "turns_exchanged": turns_to_trip("hall_swap", 1.0),
 }  # fmt: skip
 """By name."""
-assert AngleSource.ENCODER == 0
 
 
 def main() -> None:

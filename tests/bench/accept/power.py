@@ -10,17 +10,17 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.accept.results import RunResult, Verdict, run_from_json
-from bench.accept.spec import Spec
+from bench.accept.results import Verdict, run_from_json
+from bench.accept.spec import Band, Spec
 from docs.make_spec import toml
 from sim.numba_cache import source_hash
 from tests.bench.accept.sabotages import CHANGES, FAULTS, Fault, number_of
@@ -31,7 +31,7 @@ SECONDS = 400.0  # that a run of the suite may take
 
 
 class Caught(NamedTuple):
-    """Which tests caught a fault: by limits, and not as specified; `words` for what is no measurement."""
+    """Which tests caught a fault: by limits, and by measurements that are not as specified."""
 
     limits: tuple[str, ...]
     specified: tuple[str, ...]
@@ -108,20 +108,30 @@ def result_of(made: Tree, fault: Fault) -> dict[str, Any]:
     return known
 
 
-def families(names: Iterable[str]) -> tuple[str, ...]:
-    """Tests by name, each once, in order."""
-    return tuple(dict.fromkeys(names))
-
-
 def judged(entry: dict[str, Any], spec: Spec) -> Caught:
-    """Which tests caught it, by limits and by a spec."""
+    """Which tests caught it, by limits and by a spec; those first whose measurements are furthest out."""
     if entry["run"] is None:
         return Caught(("timeout",), ("timeout",), ())
-    run: RunResult = run_from_json(entry["run"])
+    run = run_from_json(entry["run"])
     bad = {Verdict.FAIL, Verdict.ERROR}
-    limits = families(test.name for test in run.tests if test.verdict in bad)
-    specified = families(test.name for test in run.tests for m in test.measurements if not spec.allows(m))
-    return Caught(limits, specified, tuple(spec.unlike({p.name: p.value for p in run.parameters})))
+    limits = [test.name for test in run.tests if test.verdict in bad]
+    specified: dict[str, float] = {}
+    for test in run.tests:
+        for m in test.measurements:
+            if not spec.allows(m):
+                specified[test.name] = max(specified.get(test.name, 0.0), _out(spec.measurements[m.name], m.value))
+    furthest = sorted(specified, key=lambda name: -specified[name])
+    unlike = spec.unlike({p.name: p.value for p in run.parameters})
+    return Caught(tuple(limits), tuple(furthest), tuple(unlike))
+
+
+def _out(band: Band, value: float | None) -> float:
+    """How far a value is out of its band, in widths of the band."""
+    lo, hi = (band.lo, band.hi)
+    width = hi - lo if lo is not None and hi is not None else abs(hi if hi is not None else lo or 0.0)
+    at = value or 0.0
+    beyond = max(-math.inf if lo is None else lo - at, -math.inf if hi is None else at - hi)
+    return beyond / max(width, 1e-12)
 
 
 def main() -> int:

@@ -1,8 +1,8 @@
 """A copy of `sim` in which faults are chosen at run time: many of them, and the kernels are compiled once.
 
-A change puts another expression in the place of one: `old` becomes `new if fault_number() == number else old`. Number and
-size come from the environment (`switch`), to every process that runs in the copy. Without a number the copy does what
-the original does, bit for bit.
+A change puts another expression in the place of one: `old` becomes `new if fault_number() == number else old`. Number
+and size come from the environment (`switch`), to every process that runs in the copy. Without a number the copy does
+what the original does, bit for bit.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +28,8 @@ SWITCH = Path(__file__).with_name("switch.py")
 class Change(NamedTuple):
     """In a module of `sim` ("control/current_loop"): the expression `old`, which is there once, becomes `new`.
 
-    SIZE in `new` is the fault's size, DEG one degree in rad. `within`: the function that has it, where others have it too.
+    SIZE in `new` is the fault's size, DEG one degree in rad. `within`: the function that has it, where others have it,
+    too.
     """
 
     module: str
@@ -96,7 +98,8 @@ def switched(text: str, changes: Iterable[tuple[int, Place, str]]) -> str:
     by_place: defaultdict[Place, list[tuple[int, ast.expr]]] = defaultdict(list)
     for number, place, new in changes:
         by_place[place].append((number, _Size().visit(ast.parse(new, mode="eval").body)))
-    module = _Switching(by_place).visit(ast.parse(text))
+    module: ast.Module = ast.parse(text)
+    _Switching(by_place).visit(module)
     after = next(k for k, node in enumerate(module.body) if isinstance(node, ast.ImportFrom)) + 1
     module.body.insert(after, ast.parse("from sim.switch import fault_number, fault_size").body[0])
     return ast.unparse(ast.fix_missing_locations(module)) + "\n"
@@ -122,7 +125,8 @@ class Tree:
             shutil.copy(SWITCH, making / "sim" / "switch.py")
             for module, source in sources.items():
                 (making / "sim" / f"{module}.py").write_text(source)
-            making.rename(self.folder)
+            with suppress(OSError):  # another process has made it
+                making.rename(self.folder)
 
     @classmethod
     def of(cls, changes: Sequence[Change]) -> Tree:
@@ -130,7 +134,7 @@ class Tree:
         return cls([(c.module, place_of(c, (ROOT / "sim" / f"{c.module}.py").read_text()), c.new) for c in changes])
 
     def run(
-        self, *words: str | Path, number: int = 0, size: float = 0.0, seconds: float = 600.0
+        self, *words: object, number: int = 0, size: float = 0.0, seconds: float = 600.0
     ) -> subprocess.CompletedProcess[str]:
         """`python -m WORDS` in the copy with one fault. Raises subprocess.TimeoutExpired."""
         own = {
