@@ -526,6 +526,16 @@ def learned_dead_time(settings: Settings) -> float:
     return float(np.std(dq(run)[0]))
 
 
+def kalman_believes(settings: Settings) -> float:
+    """Share of half a second, at 500 r/min, in which the Kalman filter believes a sensor whose wire is broken."""
+    rig = at_work({"firmware.observer": ENCODER, **settings})
+    rig.load_setpoint(SetpointMode.SPEED, 500.0 * RPM)
+    rig.setpoint(SetpointMode.CURRENT, 0.0, 0.0)
+    rig.run(SETTLED)
+    rig.set_load_param("hall_open", 1.0)
+    return float(np.mean(rig.run(0.5)["sensors_ek"].astype(int) & 1 == 0))
+
+
 # -- protection -----------------------------------------------------------------------------------------------------
 
 

@@ -1,6 +1,6 @@
 """Mutants of the drive's code, drawn by a seed, and how many of them `bench accept --spec` catches.
 
-    python -m tests.bench.accept.mutations [--count 60] [--seed 1]
+    python -m tests.bench.accept.mutations [--count 50] [--seed 1]
 
 A mutant is one expression of `sim/control`, `sim/observers` or `sim/drive/tick_*`: another sign, operator, comparison
 or constant, a term less, two arguments exchanged. One whose fixed short run records the same as the original's, sample
@@ -197,7 +197,7 @@ def main() -> int:
     """Draw, run, and say what share was caught."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--json", type=Path, help="write a line for each to it")
     options = parser.parse_args()
     lines = trial(options.seed, options.count)

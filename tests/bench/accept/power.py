@@ -75,7 +75,10 @@ def _measured(made: Tree, effect: str, config: str, number: int, size: float) ->
 
 
 def accepted(made: Tree, number: int, size: float, config: dict[str, Any], file: Path, *more: str) -> int | None:
-    """Run `bench accept` on the simulated drive with a fault, results to `file`; the exit code, None: it hung."""
+    """Run `bench accept` on the simulated drive with a fault, results to `file`; the exit code, None: it hung.
+
+    RuntimeError for a run without a result, or that somebody ended.
+    """
     own = file.with_suffix(".toml")
     own.write_text(toml(config))
     words = ("bench", "accept", "sim", "--config", own, "--json", file, *more)
@@ -85,7 +88,7 @@ def accepted(made: Tree, number: int, size: float, config: dict[str, Any], file:
         return None
     finally:
         own.unlink()
-    if not file.exists():
+    if not file.exists() or json.loads(file.read_text())["verdict"] == Verdict.ABORTED:
         raise RuntimeError(f"bench accept ended with {ran.returncode}: {ran.stderr[-800:]}")
     return ran.returncode
 
@@ -135,7 +138,7 @@ def _out(band: Band, value: float | None) -> float:
 
 
 def main() -> int:
-    """Run what has no result yet; 1 if a fault does not show its effect."""
+    """Run what has no result yet, the largest of each kind first; 1 if a fault does not show its effect."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="faults whose names begin so")
     parser.add_argument("--effects", action="store_true", help="only their effects")
@@ -143,6 +146,7 @@ def main() -> int:
     names = tuple(options.names) or ("",)
     made, without = tree(), []
     chosen = [fault for fault in FAULTS.values() if fault.name.startswith(names)]
+    chosen.sort(key=lambda fault: (fault.size != fault.kind.sizes[-1], fault.size != fault.kind.sizes[0]))
     for k, fault in enumerate(chosen, 1):
         begun = time.monotonic()
         if options.effects:

@@ -288,7 +288,7 @@ LOOPS = {
         within=LEAST,
     ),
     "voltage limit": Kind(
-        "the voltage's limit is {size} lower than the link allows", (0.01, 0.05), "largest_voltage",
+        "the voltage's limit is {size} lower than the link allows", (0.05, 0.15), "largest_voltage",
         lambda s: -s / math.sqrt(3.0),
         change=Change("control/modulation", "LINEAR * u_dc", "LINEAR * u_dc * (1.0 - SIZE)"),
     ),
@@ -424,6 +424,12 @@ OBSERVERS = {
                      "wrap(theta + (0.0 if stands else state.watch.pull) + sample.hall_offset + SIZE * DEG)"),
         unit="deg",
     ),
+    "belief in sensors of the Kalman filter": Kind(
+        "the Kalman filter on edges doubts a broken Hall sensor {size} times as long", (100.0,), "kalman_believes",
+        lambda s: 0.2,
+        change=Change("observers/hall_levels", "doubt >= DISBELIEF", "doubt >= SIZE * DISBELIEF"),
+        within=LEAST, unit="",
+    ),
     "angle of the look-up table": Kind(
         "the look-up table's angle is {size} ahead", (0.2, 0.5), "lut_error", lambda s: s,
         change=Change("observers/lookup_table", "wrap(theta + sample.hall_offset)",
@@ -431,7 +437,7 @@ OBSERVERS = {
         unit="deg",
     ),
     "centre of the sector": Kind(
-        "the centre of the sector lies {size} ahead", (0.1, 0.2), "sc_error", lambda s: s,
+        "the centre of the sector lies {size} ahead", (0.2, 0.5), "sc_error", lambda s: s,
         change=Change("observers/sector_centre", "centre(hall.sector, sample.hall_offset)",
                      "centre(hall.sector, sample.hall_offset) + SIZE * DEG"),
         unit="deg",
