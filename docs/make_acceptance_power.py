@@ -75,7 +75,9 @@ def page(numbers: Mapping[str, Any]) -> str:
     return environment.get_template("page.md.j2").render(
         groups={group: [row(name, kind, faults) for name, kind in kinds.items()] for group, kinds in GROUPS.items()},
         totals=totals(faults),
-        missed=[(fault.about, smallest(fault.kind, faults, "specified")) for fault in unseen(faults)],
+        missed=[
+            (fault.about.partition(" (200 %")[0], smallest(fault.kind, faults, "specified")) for fault in unseen(faults)
+        ],
         mutants=mutants,
         drawn=len(numbers["mutants"]),
         seed=SEED,

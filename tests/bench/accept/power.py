@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 
 from bench.accept.results import Verdict, run_from_json
 from bench.accept.spec import Band, Spec
-from docs.make_spec import toml
 from sim.numba_cache import source_hash
+from tests.bench.accept.benches import configured
 from tests.bench.accept.sabotages import CHANGES, FAULTS, Fault, number_of
 from tests.bench.accept.switched import KEPT, ROOT, Tree
 
@@ -80,7 +80,8 @@ def accepted(made: Tree, number: int, size: float, config: dict[str, Any], file:
     RuntimeError for a run without a result, or that somebody ended.
     """
     own = file.with_suffix(".toml")
-    own.write_text(toml(config))
+    own.write_text(configured("", config))
+    file.unlink(missing_ok=True)
     words = ("bench", "accept", "sim", "--config", own, "--json", file, *more)
     try:
         ran = made.run(*words, number=number, size=size, seconds=SECONDS)

@@ -164,7 +164,7 @@ SENSORS = {
         lambda s: s / 3.0, lambda s: {"faults.hall.contact_open": [0.0, 0.0, s]}, within=0.8,
     ),
     "exchanged Hall wires": Kind(
-        "Hall wires a and b are exchanged (1), b and c (2), all rotated (4): {size}", (1, 2, 4), "wrong_codes",
+        "Hall wires a and b are exchanged (1), b and c (2), all rotated (4): {size}", (1, 4), "wrong_codes",
         lambda s: 0.3, lambda s: {"wiring.hall_swap": int(s)}, within=LEAST, unit="",
     ),
     "encoder turned": Kind(
@@ -172,7 +172,7 @@ SENSORS = {
         lambda s: s, lambda s: {"encoder.offset_deg": s}, unit="deg",
     ),
     "late encoder": Kind(
-        "the encoder's angle is {size} old", (2e-6, 5e-6, 20e-6), "encoder_error",
+        "the encoder's angle is {size} old", (2e-6, 20e-6), "encoder_error",
         lambda s: -s * EDGE_DEG, lambda s: {"encoder.latency": s}, unit="us",
     ),
     "encoder off its centre": Kind(
@@ -226,14 +226,14 @@ PLANT = {
 
 LOOPS = {
     "control's angle": Kind(
-        "the control's angle is {size} ahead above 500 rad/s", (0.5, 1.0, 2.0), "control_angle",
+        "the control's angle is {size} ahead above 500 rad/s", (0.5, 2.0), "control_angle",
         lambda s: s,
         change=Change("drive/tick_firmware", "angle.theta",
                      "angle.theta + (SIZE * DEG if abs(angle.omega) > 500.0 else 0.0)", "step"),
         unit="deg",
     ),
     "control's speed": Kind(
-        "the speed loop takes the speed for {size} more", (0.002, 0.005, 0.02), "true_speed",
+        "the speed loop takes the speed for {size} more", (0.002, 0.02), "true_speed",
         lambda s: 1.0 / (1.0 + s) - 1.0,
         change=Change("drive/tick_firmware",
                      "speed_loop.step(params.speed, speed, command.omega_m, omega / params.n_p)",
@@ -250,7 +250,7 @@ LOOPS = {
         unit="A",
     ),
     "delay of the voltage": Kind(
-        "the voltage's angle is turned {size} periods too little", (0.25, 0.5, 1.5), "d_area_speeding",
+        "the voltage's angle is turned {size} periods too little", (0.25, 1.5), "d_area_speeding",
         lambda s: PSI * (FAST**2 - SLOW**2) * s * T_S / K_I,
         change=Change("drive/tick_firmware", "1.5 * params.T_s * smooth", "(1.5 - SIZE) * params.T_s * smooth"),
         within=0.35, unit="",
@@ -262,7 +262,7 @@ LOOPS = {
                       "omega_e * params.L_s * i_q * (1.0 - SIZE)"),
     ),
     "fed back-EMF": Kind(
-        "the current loop feeds {size} less of the back-EMF forward", (0.1, 0.3, 1.0), "q_area_speeding",
+        "the current loop feeds {size} less of the back-EMF forward", (0.1, 1.0), "q_area_speeding",
         lambda s: -s * PSI * (FAST - SLOW) / K_I,
         change=Change("control/current_loop", "params.L_s * i_d + params.psi_f",
                      "params.L_s * i_d + params.psi_f * (1.0 - SIZE)"),
@@ -311,7 +311,7 @@ LOOPS = {
         within=LEAST, unit="",
     ),
     "current limit": Kind(
-        "the speed loop allows {size} more than i_max", (0.005, 0.01, 0.15), "largest_current",
+        "the speed loop allows {size} more than i_max", (0.005, 0.15), "largest_current",
         lambda s: 8.0 * s, change=Change("control/speed_loop", "float(i_max)", "float(i_max) * (1.0 + SIZE)"),
     ),
     "ramp of the speed": Kind(
@@ -321,7 +321,7 @@ LOOPS = {
         within=0.5,
     ),
     "gain of the speed loop": Kind(
-        "k_p of the speed loop is {size} less than it says", (0.05, 0.1, 0.4), "speed_dip",
+        "k_p of the speed loop is {size} less than it says", (0.05, 0.4), "speed_dip",
         lambda s: 0.4 * 13.45 * s,
         change=Change("control/speed_loop", "float(k_p_speed)", "float(k_p_speed) * (1.0 - SIZE)"), within=LEAST,
     ),
@@ -349,13 +349,13 @@ OBSERVERS = {
                      "_entered"),
     ),
     "travel since the edge": Kind(
-        "the average-speed estimate goes on {size} too little from an edge", (0.02, 0.1, 0.5), "avg_error",
+        "the average-speed estimate goes on {size} too little from an edge", (0.02, 0.5), "avg_error",
         lambda s: -30.0 * s,
         change=Change("observers/average_speed", "abs(hall.omega) * hall.age",
                       "abs(hall.omega) * hall.age * (1.0 - SIZE)"),
     ),
     "angle of vector tracking": Kind(
-        "the vector-tracking estimate is {size} ahead above 500 rad/s", (0.2, 0.5, 2.0), "vt_error",
+        "the vector-tracking estimate is {size} ahead above 500 rad/s", (0.2, 2.0), "vt_error",
         lambda s: s,
         change=Change("observers/vector_tracking", "Estimate(theta, omega_lpf, delta, f_alpha, f_beta, on, sync)",
                      "Estimate(theta + (SIZE * DEG if omega_h > 500.0 else 0.0), "
@@ -363,7 +363,7 @@ OBSERVERS = {
         unit="deg",
     ),
     "vector tracking backwards": Kind(
-        "the vector-tracking estimate is {size} ahead while it turns backwards", (0.2, 0.5, 5.0),
+        "the vector-tracking estimate is {size} ahead while it turns backwards", (0.2, 5.0),
         "vt_error_back", lambda s: s,
         change=Change("observers/vector_tracking", "Estimate(theta, omega_lpf, delta, f_alpha, f_beta, on, sync)",
                      "Estimate(theta + (SIZE * DEG if omega_h < 0.0 else 0.0), "
@@ -371,13 +371,13 @@ OBSERVERS = {
         unit="deg",
     ),
     "half a period of vector tracking": Kind(
-        "(8) compares angles {size} less than half a period later", (0.1, 0.25, 1.0), "vt_error_fast",
+        "(8) compares angles {size} less than half a period later", (0.1, 1.0), "vt_error_fast",
         lambda s: math.degrees(s * 0.5 * T_S * 2500.0 * RPM * N_P),
         change=Change("observers/vector_tracking", "0.5 * params.T_s * (omega + state.omega_corr_i)",
                      "(1.0 - SIZE) * 0.5 * params.T_s * (omega + state.omega_corr_i)"),
     ),
     "k_p of vector tracking": Kind(
-        "k_p of the vector-tracking observer is {size} less than it says", (0.01, 0.02, 0.1),
+        "k_p of the vector-tracking observer is {size} less than it says", (0.01, 0.1),
         "answer_200_hz", lambda s: _answer(200.0, k_p=1.0 - s) - _answer(200.0),
         change=Change("observers/vector_tracking", "float(drive.k_p_vt)", "float(drive.k_p_vt) * (1.0 - SIZE)"),
         within=0.7,
@@ -437,7 +437,7 @@ OBSERVERS = {
         unit="deg",
     ),
     "centre of the sector": Kind(
-        "the centre of the sector lies {size} ahead", (0.2, 0.5), "sc_error", lambda s: s,
+        "the centre of the sector lies {size} ahead", (0.5, 2.0), "sc_error", lambda s: s,
         change=Change("observers/sector_centre", "centre(hall.sector, sample.hall_offset)",
                      "centre(hall.sector, sample.hall_offset) + SIZE * DEG"),
         unit="deg",
