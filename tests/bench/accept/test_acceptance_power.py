@@ -52,6 +52,7 @@ def run_of(copy: Tree, name: str, tests: list[str], folder: Path) -> dict[str, s
 
 
 @pytest.mark.campaign("sabotage")
+@pytest.mark.long("runs tests of the suite, and compiles the copy first")
 @pytest.mark.parametrize("name", CAUGHT)
 def test_a_fault_that_the_page_says_is_caught_is_caught_by_a_test_that_it_names(
     name: str, copy: Tree, tmp_path
@@ -63,6 +64,7 @@ def test_a_fault_that_the_page_says_is_caught_is_caught_by_a_test_that_it_names(
 
 
 @pytest.mark.campaign("sabotage")
+@pytest.mark.long("runs four tests of the suite twice")
 def test_the_copy_without_a_fault_measures_what_the_drive_does(copy: Tree, tmp_path: Path, accepting) -> None:
     tests = ["torque_constant", "observer[edge-kalman]", "trip_over_current", "fig12_load_angle"]
     verdicts = run_of(copy, "", tests, tmp_path)
