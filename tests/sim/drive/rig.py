@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
 class Rig(SimulatedBench):
     """A simulated bench; `settings` by `section.key`."""
 
-    def __init__(self, seed: int = 0, **settings: object) -> None:
+    def __init__(self, seed: int = 0, **settings: Any) -> None:
         super().__init__(load_params(None, settings), seed)
 
     def enable(self, on: bool = True) -> None:
