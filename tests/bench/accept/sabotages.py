@@ -494,8 +494,7 @@ PROTECTION = {
     "belief in exchanged Hall wires": Kind(
         "it takes {size} more turns against the Hall sensors", (0.5, 10.0), "turns_exchanged",
         lambda s: min(2.5 * s, 5.0),
-        change=Change("drive/tick_protection", "2.0 * math.pi * limits.hall_turns",
-                     "2.0 * math.pi * limits.hall_turns * (1.0 + SIZE)"),
+        change=Change("drive/tick_protection", "limits.hall_turns", "limits.hall_turns * (1.0 + SIZE)"),
         within=LEAST,
     ),
 }  # fmt: skip

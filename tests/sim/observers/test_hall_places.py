@@ -67,7 +67,7 @@ def test_what_one_edge_is_taught_no_other_knows(places):
 
 def test_a_shaft_that_turns_unevenly_moves_no_edge_but_a_back_emf_that_is_wrong_in_every_pair_hides_none(places):
     uneven, wrong = places, places
-    for turn in range(200):
+    for _ in range(200):
         for pair in range(8):
             by = 0.02 * np.sin(2.0 * np.pi * pair / 8)
             uneven = hp.taught(uneven, pair, 4, by + uneven.own[pair][4], by, 0.05, 1 / 48)
