@@ -175,5 +175,5 @@ HYSTERESIS = math.radians(0.2), math.radians(2.0)
 """rad of hysteresis that sensors have that are well: what a slip between the two directions may add hides in it."""
 LEARN_SD = math.radians(2.0)
 """rad, the largest standard deviation with which an edge is taken from a filter."""
-LEARN_MOTOR = {"psi_f_hat": 0.02, "R_s_hat": 0.1, "L_s_hat": 0.2}
+LEARN_MOTOR = {"psi_f_hat": 0.02, "R_s_hat": 0.1, "L_s_hat": 0.25}
 """What a filter learns of the motor, and the largest standard deviation with which it is taken, as a share."""
