@@ -37,6 +37,8 @@ RESOLUTION = {
 """By unit, what a reading can be off by on a bench without anything being wrong with the drive; times are two samples
 at 16 kHz. Beside it there is `FIGURES`, for currents of the current sensors' range.
 """
+REACH = 1.5
+"""How many times as far from the mean as the furthest good run a band reaches: some measurements have long tails."""
 FIGURES = 1e-3
 """Share of a value, or of a range, to which it is read: ten bits. A band is nowhere narrower, either side."""
 
@@ -181,7 +183,8 @@ def _banded(band: Band, limits: Limits, number: int, i_range: float) -> Band:
     if band.unit == "A":
         least = max(least, FIGURES * i_range)
     half = max(tolerance_factor(band.n, FALSE_ALARMS / number) * band.sd, least)
-    lo, hi = min(band.mean - half, band.min - least), max(band.mean + half, band.max + least)
+    lo = min(band.mean - max(half, REACH * (band.mean - band.min)), band.min - least)
+    hi = max(band.mean + max(half, REACH * (band.max - band.mean)), band.max + least)
     new = rounded(replace(band, lo=lo, hi=hi))
     los, his = ([side for side in sides if side is not None] for sides in ((new.lo, limits.lo), (new.hi, limits.hi)))
     return replace(new, lo=max(los), hi=min(his))

@@ -67,7 +67,7 @@ from sim.observers import covariance, edge_lessons, hall_levels, hall_places
 from sim.observers.average_speed import FASTEST, centre
 from sim.observers.covariance import Five, Symmetric
 from sim.observers.edge_lessons import LOW_CURRENT, Four, LegsLoss, Lessons, Sums, Two
-from sim.observers.edge_scales import Scale, make_scale
+from sim.observers.edge_scales import Motor, Scale, make_scale
 from sim.observers.hall_edges import HallEdges
 from sim.observers.hall_levels import Belief, Levels
 from sim.observers.hall_places import DEG, MOST, Twelve
@@ -200,18 +200,11 @@ CYCLE = 17  # lessons sent until they start again, the first two twice: prime, s
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(HallEdges):
+class Settings(Motor, HallEdges):
     """The drive's parameters that it takes; an edge of 0 is not known."""
 
-    n_p: float
-    omega_m_max: float  # mechanical rad/s
     hall_timeout: float  # s
-    R_s_hat: float  # ohm
-    L_s_hat: float  # H
-    psi_f_hat: float  # V s
-    i_range: float  # A
     bw_omega_lpf: float  # Hz
-    J_hat: float = 0.0  # kg m2; 0: not known
     learn_edges: float = 1.0  # 0 keeps everything as it was learned
     edge_sd: float = 0.0087  # rad, standard deviation of an offset that all given edges of a direction share
 
@@ -349,8 +342,7 @@ class Edge(NamedTuple):
 
 def make_params(pwm_hz: float, drive: Settings) -> Params:
     """Constants for control periods at `pwm_hz` Hz."""
-    names = ("n_p", "omega_m_max", "R_s_hat", "L_s_hat", "psi_f_hat", "i_range", "J_hat")
-    scale = make_scale(float(pwm_hz), **{name: float(getattr(drive, name)) for name in names})
+    scale = make_scale(pwm_hz, drive)
     pairs = int(drive.n_p)
     return Params(
         scale=scale,

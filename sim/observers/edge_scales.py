@@ -9,6 +9,7 @@ This module never sees a sample.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from sim import legs
@@ -40,37 +41,40 @@ class Scale(NamedTuple):
     feed: float  # rad/(s2 A), acceleration by current; 0: the inertia is not known
 
 
-def make_scale(
-    pwm_hz: float,
-    *,
-    n_p: float,
-    omega_m_max: float,
-    R_s_hat: float,
-    L_s_hat: float,
-    psi_f_hat: float,
-    i_range: float,
-    J_hat: float,
-) -> Scale:
-    """From the drive's parameters of these names; J_hat = 0: not known."""
-    psi_f = max(psi_f_hat, TINY)
-    i = max(i_range, LEAST) / FULL_SCALE
-    omega_m_max = max(omega_m_max, LEAST)
-    L_s_hat = max(L_s_hat, TINY)
+@dataclass(frozen=True, kw_only=True)
+class Motor:
+    """The drive's parameters that say which motor it has; 0: not known, where that is the default."""
+
+    n_p: float
+    omega_m_max: float  # mechanical rad/s
+    R_s_hat: float  # ohm
+    L_s_hat: float  # H
+    psi_f_hat: float  # V s
+    i_range: float  # A
+    J_hat: float = 0.0  # kg m2
+    u_dc_min: float = 0.0  # V, of the DC link, below which the drive trips
+
+
+def make_scale(pwm_hz: float, motor: Motor) -> Scale:
+    """The sizes for control periods at `pwm_hz` Hz."""
+    psi_f, L_s = max(float(motor.psi_f_hat), TINY), max(float(motor.L_s_hat), TINY)
+    R_s, J, n_p = float(motor.R_s_hat), float(motor.J_hat), float(motor.n_p)
+    i, omega_m_max = max(float(motor.i_range), LEAST) / FULL_SCALE, max(float(motor.omega_m_max), LEAST)
     fastest = n_p * omega_m_max
-    u = math.hypot(psi_f * fastest + 0.5 * R_s_hat * i, 0.5 * fastest * L_s_hat * i)
-    v = max(V_SHARE * math.sqrt(3.0) / AT_HALF * u, TINY)
+    u = math.hypot(psi_f * fastest + 0.5 * R_s * i, 0.5 * fastest * L_s * i)
+    v = max(V_SHARE * math.sqrt(3.0) / AT_HALF * u, V_SHARE * motor.u_dc_min, TINY)  # speeds may be limited far below
     torque = 1.5 * n_p * psi_f * i
     return Scale(
-        T_s=1.0 / pwm_hz,
-        R_s=R_s_hat,
-        L_s=L_s_hat,
+        T_s=1.0 / float(pwm_hz),
+        R_s=R_s,
+        L_s=L_s,
         psi_f=psi_f,
         v=v,
-        v_drop=max(v, DROP_SHARE * R_s_hat * i),
+        v_drop=max(v, DROP_SHARE * R_s * i),
         i=i,
-        i_fade=legs.FADE / (L_s_hat * pwm_hz),
+        i_fade=legs.FADE / (L_s * float(pwm_hz)),
         omega_v=v / psi_f,
         omega_b=OMEGA_B * v / psi_f,
-        alpha=n_p * torque / (J_hat or SHAFT * torque / omega_m_max),
-        feed=n_p * torque / (J_hat * i) if J_hat > 0.0 else 0.0,
+        alpha=n_p * torque / (J or SHAFT * torque / omega_m_max),
+        feed=n_p * torque / (J * i) if J > 0.0 else 0.0,
     )

@@ -35,13 +35,16 @@ from bench.accept.suite.common import (
     run_at,
     settle,
     speed_rpm,
+    thd_of_current,
     turn_both_ways,
+    turns_for_thd,
     whole_turns,
 )
 from bench.accept.suite.events import current
+from bench.accept.suite.tripping import angle_source
 from bench.errors import BenchError
 from bench.findings.late import Late, blame
-from bench.rig.loads import Load
+from bench.rig.loads import Load, NodeLoad
 from bench.signal.delays import delays
 from bench.signal.trace import STATOR
 from bench.signal.waveforms import FORWARD, REVERSE
@@ -50,6 +53,7 @@ from bench.signal.waveforms.sectors import NUMERALS
 PHASES = ("channel:i_a", "channel:i_b", "channel:i_c")
 REST = 0.01  # electrical rad/s below which the shaft is at rest, by what the drive says
 PLACED_WITHIN = 15.0  # deg
+FLAT = 1.0  # % THD: less says nothing
 SPEED, LOAD = 1 / 6, 1 / 2  # of the rated speed and current
 
 OFF = {"R_s_hat": 0.3, "L_s_hat": 0.2, "psi_f_hat": 0.1}  # shares
@@ -241,6 +245,35 @@ def test_current_gain(drive: Drive, rated: Ratings, load: Load, record: Record, 
     psi_f = np.hypot(light["e_alpha"], light["e_beta"]).mean() / light[light.speed].mean()
     step = (loaded["i_q"].mean() - light["i_q"].mean()) * psi_f / drive.parameters["psi_f_hat"]
     measure("gain", 100.0 * (step / amperes - 1.0), light, loaded)
+
+
+@called("Dead time learned")
+@limit("thd_told_half", "%", about="THD (20) of i_a while half of dead_time_hat is compensated")
+@limit("thd_learned", "%", about="the same once the drive has learned the rest")
+@limit("ratio", "%", hi=120, about=f"the second to the first; one below {FLAT:g} % THD counts as that")
+@needs(*TURNS, "encoder", "load.speed", "channel:i_a", "parameter:dead_time_comp", "parameter:dead_time_learn")
+@energises(rated_speed=SLOW, rated_current=1)
+def test_dead_time_learned(drive: Drive, rated: Ratings, load: NodeLoad, record: Record, measure: Measure) -> None:
+    """A drive that can learn its dead time is told half of it: what it learns makes the current no less sinusoidal.
+
+    At a tenth of the rated speed and three eighths of the rated current, where a dead time shows most.
+    """
+    speed = speed_rpm(drive, rated, 1 / 10)
+    thd = {}
+    drive.set("dead_time_comp", 0.5 * drive.parameters["dead_time_comp"])
+    for name, learn, seconds in (("told_half", 0.0, 0.2), ("learned", 1.0, 3.0)):
+        drive.set("dead_time_learn", learn)
+        drive.start(angle_source(drive))
+        load.speed(rpm=speed)
+        drive.current(3 / 8 * rated.current)
+        settle(record, speed)
+        record.wait(seconds)
+        run = record(turns_for_thd(drive, speed))
+        drive.stop()
+        thd[name] = thd_of_current(whole_turns(run)), run
+        measure(f"thd_{name}", *thd[name])
+    (before, half), (after, learned) = thd.values()
+    measure("ratio", 100.0 * max(after, FLAT) / max(before, FLAT), half, learned)
 
 
 @called("Offsets of the current sensors")

@@ -15,7 +15,6 @@ from bench.accept import (
     RATED_SPEED,
     Capture,
     Drive,
-    Limits,
     Ratings,
     called,
     energises,
@@ -53,7 +52,9 @@ from bench.accept.suite.common import (
     within_voltage,
 )
 from bench.accept.suite.events import current, currents_gone, first, largest, states, stepped
+from bench.accept.suite.tripping import angle_source
 from bench.rig.loads import Load, NodeLoad
+from bench.signal.units import RPM
 from bench.signal.waveforms import settled
 from protocol.codes import DriveState
 
@@ -101,7 +102,7 @@ LOWEST, BARELY = 1 / 150, 0.6  # of the rated speed, and of that at which the dr
 
 
 @called("Lowest speed at {torque} % of the rated torque")
-@limits(Limits("speed", "%", 5, 250, "mean by the encoder, of the setpoint: it turns, and does not run away"))
+@limit("speed", "%", lo=5, hi=250, about="mean by the encoder, of the setpoint: it turns, no more", chance=True)
 @limit("backwards", "deg", hi=360, about="largest swing back of the shaft, electrical", chance=True)
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current", chance=True)
 @limit("speed_ripple", "r/min", about="standard deviation by the encoder: the shaft sticks and slips", chance=True)
@@ -191,6 +192,38 @@ def test_high_power(drive: Drive, rated: Ratings, load: Load, record: Record, me
     measure("i_q", run["i_q"].mean(), run)
     measure_error(measure, run)
     measure("current_max", current(run).max(), run)
+
+
+BEYOND_VOLTAGE = 1.05  # of the largest that linear modulation gives: what the voltage limit is asked for
+
+
+@called("Voltage limit")
+@limit("voltage", "%", hi=116, about="mean of what linear modulation gives, while the current asks for more")
+@limit("reached", "%", hi=110, about="mean d current then, of the reference; 100: the voltage is no limit")
+@limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
+@limit("current_after", "A", hi=0.35, of=RATED_CURRENT, about="largest phase current from 3 ms after the reference on")
+@needs(*TURNS, "currents", "load.speed", "channel:i_d", "channel:i_d_ref")
+@needs("channel:u_alpha", "channel:u_beta", "channel:u_dc", "parameter:L_s_hat", "parameter:psi_f_hat")
+@energises(rated_speed=1, rated_current=1)
+def test_voltage_limit(drive: Drive, rated: Ratings, load: NodeLoad, record: Record, measure: Measure) -> None:
+    """At the rated speed a current along the rotor's flux, which adds to the back-EMF until it is too much; then none.
+
+    What the current loop winds up meanwhile shows once the reference is gone.
+    """
+    drive.start(angle_source(drive))
+    load.speed(rpm=rated.speed_rpm)
+    assert settle(record, rated.speed_rpm), f"{rated.speed_rpm:g} r/min were not reached"
+    most = float(record(0.01)["u_dc"].mean()) / math.sqrt(3.0)
+    more = BEYOND_VOLTAGE * most / (rated.speed_rpm * RPM * drive.n_p) - drive.parameters["psi_f_hat"]
+    i_d = min(max(more / drive.parameters["L_s_hat"], 0.1 * rated.current), rated.current)
+    drive.current(0.0, i_d)
+    record.wait(0.1)
+    limited = record(0.1)
+    run = around(record, 0.01, lambda: drive.current(0.0), 0.1)
+    measure("voltage", 100.0 * np.hypot(limited["u_alpha"], limited["u_beta"]).mean() / most, limited)
+    measure("reached", 100.0 * limited["i_d"].mean() / i_d, limited)
+    measure("current_max", max(current(limited).max(), current(run).max()), limited, run)
+    measure("current_after", largest(current(run), run.t >= stepped(run, "i_d_ref") + 3e-3), run)
 
 
 @called("Stall and restart")

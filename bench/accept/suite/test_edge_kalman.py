@@ -9,11 +9,14 @@ DOI 10.1109/TIE.2010.2098367.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bench.accept import Capture, Drive, Limits, Ratings, called, energises, limit, limits, needs
+from bench.accept import Capture, Drive, Limits, Ratings, called, energises, limit, limits, must_be_yes, needs
+from bench.accept.faults import WIRES, HallFaults
 from bench.accept.fixtures import Record
 from bench.accept.plots.by_speed import Panel, draw_by_speed
 from bench.accept.plots.transients import draw_transient
@@ -42,6 +45,7 @@ from bench.accept.suite.common import (
     turns_for_thd,
     whole_turns,
 )
+from bench.accept.suite.events import first, illegal
 from bench.rig.loads import NodeLoad
 
 pytestmark = needs(*PAPER, "observer:edge-kalman")
@@ -106,7 +110,12 @@ def _point(load: float, speed: float) -> str:
 )
 @limit("proposed.error_std.speed17", "deg", about="the paper's observer on the same samples, half the load")
 @limit("proposed.error_std.speed33", "deg", about="the paper's observer on the same samples, half the load")
-@limit("ratio_max", hi=1, about=f"std, Kalman filter to the paper's observer, largest; below {LITTLE:g} deg as that")
+@limit(
+    "ratio_max",
+    hi=1,
+    about=f"std, Kalman filter to the paper's observer, largest; below {LITTLE:g} deg as that",
+    chance=True,
+)
 @needs("load.speed", "rate:16000", *CHANNELS)
 @energises(rated_speed=1, rated_current=1)
 def test_edge_kalman_map(
@@ -250,3 +259,52 @@ def test_edge_kalman_wrong_parameters(
         if at > FROM:
             ratios.append(ratio(std, float(error_deg(right, PROPOSED).std()), LITTLE))
     measure("ratio", max(ratios), *own, *runs)
+
+
+TURNS_BROKEN = 6.0
+"""Electrical revolutions for which a wire is broken, and for which it is whole again."""
+
+
+@called("Kalman filter: broken Hall wires")
+@limits(
+    *(
+        Limits(f"turns.{wire}", "turns", None, 5.0, f"until sensor {wire}, and no other, is not believed")
+        for wire in WIRES
+    ),
+    *(
+        Limits(f"error_std.{wire}", "deg", None, 15.0, "standard deviation of the position error then")
+        for wire in WIRES
+    ),
+    must_be_yes("believed_again", "all sensors are believed within as many revolutions once a wire is whole"),
+)
+@needs("load.speed", "hall-faults", "channel:hall", "channel:sensors_ek", *CHANNELS)
+@energises(rated_speed=FROM, rated_current=0)
+def test_edge_kalman_broken_wires(
+    drive: Drive, rated: Ratings, load: NodeLoad, record: Record, hall_faults: HallFaults, measure: Measure
+) -> None:
+    """Kalman filter: a Hall wire after the other breaks while the load machine turns the shaft, outputs off.
+
+    With the outputs on the drive trips before the filter has doubted the sensor.
+    """
+    speed = rated.speed_rpm * FROM
+    load.speed(rpm=speed)
+    assert settle(record, speed), f"{speed:g} r/min were not reached"
+    turn, again = electrical_turn(drive, speed), []
+    for wire, bit in WIRES.items():
+        with record.stretch() as stretch:
+            hall_faults.open(wire)
+            record.wait(TURNS_BROKEN * turn)
+        run = stretch.capture
+        hall_faults.clear()
+        record.wait(TURNS_BROKEN * turn)
+        again.append(record(turn))
+        named = _not_believed(run) == bit
+        known = first(run, named) if named[-1] else math.nan
+        measure(f"turns.{wire}", (known - illegal(run)) / turn, run)
+        measure(f"error_std.{wire}", error_deg(run, KALMAN)[run.t >= known].std() if named[-1] else math.nan, run)
+    measure("believed_again", not any(_not_believed(run).any() for run in again), *again)
+
+
+def _not_believed(run: Capture) -> NDArray[np.int64]:
+    """Bits 0 to 2: sensor a, b, c."""
+    return run["sensors_ek"].astype(np.int64) & 7

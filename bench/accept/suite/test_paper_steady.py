@@ -386,20 +386,23 @@ ENOUGH = 1.5  # times the speed at which the drive begins to look at the back-EM
 
 
 @called("Fig. 8: steady state at low speed")
-@limit("error_std_average", "deg", about="position error, average speed in the control loop")
-@limit("error_max_average", "deg", about="largest position error, average speed in the control loop")
+@limit("error_std_average", "deg", about="position error, average speed in the control loop", chance=True)
+@limit("error_max_average", "deg", about="largest position error, average speed in the control loop", chance=True)
 @limit("error_std_proposed", "deg", hi=25.0, about="position error, proposed observer in the control loop")
 @limit("error_max_proposed", "deg", hi=75.0, about="largest position error, proposed observer in the control loop")
 @limit(
-    "error_ratio", "", hi=0.96, about=f"std, proposed to average speed; below {GOOD:g} deg the latter counts as that"
+    "error_ratio",
+    hi=0.96,
+    about=f"std, proposed to average speed; below {GOOD:g} deg the latter counts as that",
+    chance=True,
 )
-@limit("thd_average", "%", about="THD of i_a, (20), average speed")
+@limit("thd_average", "%", about="THD of i_a, (20), average speed", chance=True)
 @limit("thd_proposed", "%", hi=40.0, about="THD of i_a, (20), proposed observer")
-@limit("i_q_average", "A", about="mean q current for half the rated torque and friction, average speed")
+@limit("i_q_average", "A", about="mean q current for half the rated torque and friction, average speed", chance=True)
 @limit("i_q_proposed", "A", lo=0.45, hi=0.75, of=RATED_CURRENT, about="mean q current, proposed observer")
-@limit("speed_average", "%", about="mean of the speed, of the setpoint, average speed in the control loop")
+@limit("speed_average", "%", about="mean of the speed, of the setpoint, average speed in the control loop", chance=True)
 @limits(held("speed_proposed", 20, "mean, proposed observer in the control loop"))
-@limit("ripple_average", "r/min", about="standard deviation of the speed, average speed in the control loop")
+@limit("ripple_average", "r/min", about="standard deviation of the speed, average speed in control", chance=True)
 @limit("ripple_proposed", "r/min", hi=0.03, of=RATED_SPEED, about="standard deviation of the speed, proposed observer")
 @needs("load", "parameter:psi_f_hat")
 @energises(rated_speed=SLOW, rated_current=1)
@@ -410,7 +413,7 @@ def test_fig08_steady(
 
     Faster where there is no back-EMF to look at yet, by the drive's parameter `omega_on`. What the dead time leaves
     after compensation can be as large as the back-EMF here, and decides how good an angle is; how badly the average
-    speed does is for information.
+    speed does is for information. It finds one of two rhythms, and one good drive in thirty the worse.
     """
     speed = speed_rpm(drive, rated, LOW, ENOUGH)
     drive.start(PROPOSED)

@@ -371,7 +371,7 @@ def test_without_an_encoder_every_test_passes_or_says_that_it_needs_one(workshop
     # those that no encoder is needed for, by what they do
     assert set(run.tests) - skipped == {
         "hall_wire_broken[a]", "hall_wire_broken[b]", "hall_wire_broken[c]", "hall_glitches", "watchdog",
-        "watchdog_under_load", "current_offsets", "full_speed", "stall_and_restart", "stop",
+        "watchdog_under_load", "current_offsets", "full_speed", "voltage_limit", "stall_and_restart", "stop",
         *PROTECTED,
     }  # fmt: skip
     workshop.require_safe()

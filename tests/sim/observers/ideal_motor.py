@@ -47,6 +47,7 @@ DRIVE = {
     "inject_amplitude": 0.0,
     "inject_hz": 0.0,
     "J_hat": 2.0e-4,
+    "u_dc_min": 12.0,
     "bw_hall_vector": 10.0,
     "learn_edges": 1.0,
     "edge_sd": 0.0087,

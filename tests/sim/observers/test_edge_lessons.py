@@ -6,11 +6,11 @@ from ideal_motor import TABLE_I
 
 from sim.native import zeroed
 from sim.observers import edge_lessons as el
-from sim.observers.edge_scales import make_scale
+from sim.observers.edge_scales import Motor, make_scale
 
 DEG = np.pi / 180
 PAPER = {"n_p": 6.0, "omega_m_max": 330.0, "R_s_hat": 0.158, "L_s_hat": 0.176e-3, "psi_f_hat": 6.55e-3}
-SCALE = make_scale(16e3, **PAPER, i_range=20.0, J_hat=2e-4)
+SCALE = make_scale(16e3, Motor(**PAPER, i_range=20.0, J_hat=2e-4))
 UNKNOWN = (0.0,) * 12
 PLACES = -TABLE_I
 
