@@ -88,9 +88,9 @@ def drawn(seed: int) -> Case:
     )  # fmt: skip
 
 
-def bench_of(case: Case, observer: str = "edge_kalman") -> Proving:
-    """The bench of a case, running at rest."""
-    changes = OTHERS.get(case.motor, {})
+def bench_of(case: Case, observer: str = "edge_kalman", more: Mapping[str, object] | None = None) -> Proving:
+    """The bench of a case, running at rest; `more`: what else its configuration has."""
+    changes = {**OTHERS.get(case.motor, {}), **(more or {})}
     file = motors().get(case.motor)
     params = load_params(file, changes)
     if not case.kind:

@@ -61,3 +61,44 @@ def test_a_load_that_pulsates_with_the_shaft_is_followed(motor, source):
         pulsated(bench, rpm, load, turns, times)
         error = np.concatenate([bench.error(run, "edge_kalman") for run in pulsated(bench, rpm, load, turns, times)])
         assert np.sqrt((error**2).mean()) < least, f"{times} times a turn"
+
+
+HALL = {
+    "weak pull-ups": lambda draw, sector: {"rise_delay": draw.uniform(0.0, 0.15 * sector, 3).tolist()},
+    "one that falls late": lambda draw, sector: {"fall_delay": [0.0, draw.uniform(0.0, 0.15 * sector), 0.0]},
+    "bounces": lambda draw, sector: {
+        "bounce": [draw.uniform()] * 3, "bounce_spacing": draw.uniform(1e-5, 0.05 * sector),
+        "bounce_returns": int(draw.integers(1, 4)),
+    },
+    "pulses": lambda draw, sector: {
+        "pulse_rate": [draw.uniform(0.0, min(0.03 / sector, 15.0))] * 3,
+        "pulse_max": draw.uniform(3e-5, min(max(4e-5, 0.2 * sector), 2e-3)),
+    },
+    "a ring that is turned": lambda draw, sector: {"hall.offset_deg": draw.uniform(-180.0, 180.0)},
+}  # fmt: skip
+"""What is wrong with the Hall signals, by the time in s that a sector takes. Pulses are so few, and so short, that the
+drive does not trip.
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("motor", "kind", "seed"),
+    sampled("hall faults", product(["", *motors(), *OTHERS], HALL, range(30, 40)), 3, campaign="lost"),
+)
+def test_the_angle_is_well_while_hall_signals_are_not(motor, kind, seed):
+    draw = np.random.default_rng([seed, len(kind)])
+    speed = float(np.exp(draw.uniform(np.log(0.05), np.log(0.7))))
+    case, rms = Case(seed, motor, True, {}, "steady", speed, 0.3, 1), []
+    plain = bench_of(case)
+    sector = 10.0 / (speed * plain.top * plain.params.motor.n_p)
+    wrong = {key if "." in key else f"faults.hall.{key}": it for key, it in HALL[kind](draw, sector).items()}
+    for bench in (plain, bench_of(case, more=wrong)):
+        bench.spin(speed * bench.top, 0.5)
+        bench.spin(speed * bench.top, 0.3, 0.3 * bench.i_max)
+        run = bench.spin(speed * bench.top, 1.5, 0.3 * bench.i_max)
+        error = bench.error(run)
+        rms.append(float(np.sqrt((error**2).mean())))
+        assert not bench.faults
+        assert (np.abs(error) > 3.0 * np.degrees(run["sigma_ek"])).mean() < 0.01
+    assert rms[1] < rms[0] + 3.0, wrong  # near standstill runs of a gimbal differ by as much
