@@ -231,18 +231,18 @@ class MotorValues:
         worse = float(np.sum((seen - rows @ of) ** 2)) / max(len(seen) - len(of), 1)
         return of, np.sqrt(np.diag(P) * max(worse, 1.0)), worse
 
-    def told(self) -> dict[str, dict[str, float | bool]]:
-        """By parameter what it is, what it should be, its standard deviation, and whether it is wrong.
+    def told(self) -> dict[str, dict[str, float | bool | None]]:
+        """By parameter that the drive has: what it is, what it should be, its standard deviation, whether it is wrong.
 
-        Of those that are wrong, or known to a third.
+        The last is None of one that is not known to a third: the run cannot tell.
         """
         values = self.values()
-        wrong = {name: value.wrong(TELLING[name]) for name, value in values.items()}
-        return {
-            name: value._asdict() | {"wrong": wrong[name]}
-            for name, value in values.items()
-            if wrong[name] or 9.0 * value.sd < value.value
-        }
+        told: dict[str, dict[str, float | bool | None]] = {}
+        for name, hat in self._hats.items():
+            value = values.get(name, Value(hat, math.nan, math.inf))
+            wrong = True if value.wrong(TELLING[name]) else False if 9.0 * value.sd < value.value else None
+            told |= {name: value._asdict() | {"wrong": wrong}} if hat > 0.0 else {}
+        return told
 
     def findings(self) -> Iterator[Finding]:
         """The parameters that are wrong."""

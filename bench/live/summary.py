@@ -158,7 +158,7 @@ class Summary:
     """The Hall sensors that the drive found to have moved; None likewise."""
     angle_lost: float | None = None
     """Share of the time for which the drive did not know the rotor's angle; None likewise."""
-    motor: dict[str, dict[str, float | bool]] = field(default_factory=dict)
+    motor: dict[str, dict[str, float | bool | None]] = field(default_factory=dict)
     """By parameter of the drive, what the run says that it should be, see `MotorValues.told`."""
     bus: dict[str, Any] | None = None
     result: str = "ok"
@@ -309,9 +309,9 @@ def run_rows(summary: Summary) -> list[list[str]]:
     if summary.angle_lost:
         rows.append(["rotor's angle not known to the drive", f"{summary.angle_lost:.1%} of the time"])
     for name, said in summary.motor.items():
-        if said["wrong"]:
-            value, within = said["value"], 3.0 * said["sd"]
-            rows.append([f"{name} by the run", f"{value:.3g} +/- {within:.2g}, in the drive {said['parameter']:.3g}"])
+        value, within = said["value"], 3.0 * (said["sd"] or 0.0)
+        found = "this run cannot tell" if said["wrong"] is None else f"{value:.3g} +/- {within:.2g}"
+        rows.append([f"{name} by the run", f"{found}, in the drive {said['parameter']:.3g}"])
     if summary.outputs:
         rows.append(["outputs at the end", summary.outputs])
     rows.append(["faults", ", ".join(summary.faults) or "none"])
