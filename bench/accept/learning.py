@@ -32,7 +32,8 @@ FALSE_ALARMS = 1e-3
 """The share of good runs with a measurement out of its band."""
 RESOLUTION = {
     "deg": 0.1,  # a count of a good encoder, electrical, or what the shaft turns within a sample
-    "%": 0.05, "": 0.005, "dB": 0.05, "turns": 0.01, "V": 0.02, "r/min": 0.5, "ms": 0.125, "us": 0.2,
+    "turns": 1.0,  # it depends on where the rotor is when something happens
+    "%": 0.05, "": 0.005, "dB": 0.05, "V": 0.02, "r/min": 0.5, "ms": 0.125, "us": 0.2,
 }  # fmt: skip
 """By unit, what a reading can be off by on a bench without anything being wrong with the drive; times are two samples
 at 16 kHz. Beside it there is `FIGURES`, for currents of the current sensors' range.
