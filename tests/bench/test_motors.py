@@ -109,6 +109,10 @@ def test_wrong_pole_pairs_and_a_wrong_flux_linkage_are_named(name: str) -> None:
         said = re.search(
             r"psi_f_hat = (\S+) mV s, but by voltages, currents and angle it is (\S+) mV s", ended.summary.result
         )
+        if said is None:  # the gimbal motor does not turn with twice its own, and that is what is said
+            assert (name, factor, ended.exit_code) == ("gimbal-4310", 2.0, 1)
+            assert "it turned at 0 r/min" in ended.summary.result
+            continue
         assert float(said[1]) == pytest.approx(1e3 * factor * motor.psi_f, rel=0.01)
         assert (float(said[2]), ended.exit_code) == (pytest.approx(1e3 * motor.psi_f, rel=0.03), 1)
 
