@@ -62,7 +62,8 @@ def make_scale(pwm_hz: float, motor: Motor) -> Scale:
     i, omega_m_max = max(float(motor.i_range), LEAST) / FULL_SCALE, max(float(motor.omega_m_max), LEAST)
     fastest = n_p * omega_m_max
     u = math.hypot(psi_f * fastest + 0.5 * R_s * i, 0.5 * fastest * L_s * i)
-    v = max(V_SHARE * math.sqrt(3.0) / AT_HALF * u, V_SHARE * motor.u_dc_min, TINY)  # speeds may be limited far below
+    # omega_m_max may be set far below what the link allows, and u_dc is u_dc_min at least
+    v = max(V_SHARE * math.sqrt(3.0) / AT_HALF * u, V_SHARE * motor.u_dc_min, TINY)
     torque = 1.5 * n_p * psi_f * i
     return Scale(
         T_s=1.0 / float(pwm_hz),

@@ -248,7 +248,7 @@ def test_current_gain(drive: Drive, rated: Ratings, load: Load, record: Record, 
 
 
 @called("Dead time learned")
-@limit("thd_told_half", "%", about="THD (20) of i_a while half of dead_time_hat is compensated")
+@limit("thd_told_half", "%", about="THD (20) of i_a with half of dead_time_comp")
 @limit("thd_learned", "%", about="the same once the drive has learned the rest")
 @limit("ratio", "%", hi=120, about=f"the second to the first; one below {FLAT:g} % THD counts as that")
 @needs(*TURNS, "encoder", "load.speed", "channel:i_a", "parameter:dead_time_comp", "parameter:dead_time_learn")
