@@ -114,9 +114,10 @@ def test_the_page_of_the_effects_is_what_its_generator_makes_and_has_all_effects
         assert benches["kind"].keys() == benches["unkind"].keys() == CATALOGUE.keys()
 
 
-def test_the_page_of_the_kalman_filter_has_the_figures_of_the_last_benchmark() -> None:
-    made = generator_of("make_edge_kalman").page()  # else: python docs/make_edge_kalman.py
-    assert (ROOT / "docs" / "edge-kalman.md").read_text() == made
+def test_the_pages_of_the_kalman_filter_have_the_figures_of_the_last_benchmark_and_of_the_drawn_cases() -> None:
+    generator = generator_of("make_edge_kalman")  # else: python docs/make_edge_kalman.py
+    assert generator.PAGE.read_text() == generator.page()
+    assert generator.MISSES.read_text() == generator.misses()
 
 
 def test_a_run_of_the_effects_gives_the_page_its_numbers(monkeypatch: pytest.MonkeyPatch) -> None:

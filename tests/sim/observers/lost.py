@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.device.simulator import motors
-from sim.config.params import load_params
+from sim.config.params import Value, load_params
 from sim.config.unkind import unkind
 from sim.drive.machine import Recorded
 from sim.observers.hall_speed import SECTOR_OF_CODE
 from tests.sim.observers.proving import Proving
 
-OTHERS: dict[str, Mapping[str, object]] = {
+OTHERS: dict[str, Mapping[str, Value]] = {
     # odriverobotics.com, hoverboard guide: 0.18 ohm and 0.336 mH a phase, 16 r/min/V, 15 pole pairs
     "hub-36v": {
         "motor.n_p": 15, "motor.R_s": 0.18, "motor.L_d": 0.336e-3, "motor.L_q": 0.336e-3, "motor.psi_f": 0.0232,
@@ -88,7 +88,7 @@ def drawn(seed: int) -> Case:
     )  # fmt: skip
 
 
-def bench_of(case: Case, observer: str = "edge_kalman", more: Mapping[str, object] | None = None) -> Proving:
+def bench_of(case: Case, observer: str = "edge_kalman", more: Mapping[str, Value] | None = None) -> Proving:
     """The bench of a case, running at rest; `more`: what else its configuration has."""
     changes = {**OTHERS.get(case.motor, {}), **(more or {})}
     file = motors().get(case.motor)
@@ -167,6 +167,7 @@ class Held:
     sigma: float  # deg, rms
     faults: int
     others: Mapping[str, float]  # deg rms of those beside it
+    others_worse: Mapping[str, float]  # as `worse`, of each of these against the other two and the observer
 
     @property
     def misses(self) -> list[str]:
@@ -197,7 +198,7 @@ def _outside(error_of_sector: np.ndarray, code: np.ndarray, pwm_hz: float) -> fl
     total = 0
     for begin, end in zip(begins, ends, strict=True):
         if changes[end - 1] - changes[begin] >= 2 or end - begin > 0.1 * pwm_hz:
-            total += end - begin
+            total += int(end - begin)
     return total / pwm_hz
 
 
@@ -213,15 +214,19 @@ def held(case: Case, observer: str = "edge_kalman") -> Held:
     centre = 60.0 * sector + 30.0 + bench.params.hall.offset_deg
     own = np.degrees(np.concatenate([run[bench.columns[observer]] for run in runs]))
     off = np.where(sector < 0, 0.0, (own - centre + 180.0) % 360.0 - 180.0)
-    window, worse = round(pwm_hz), -np.inf
     square = {name: np.concatenate([bench.error(run, name) for run in runs]) ** 2 for name in BESIDE}
-    window = min(window, len(error))
-    for begin in range(0, len(error) - window + 1, max(1, window // 4)):
-        part = slice(begin, begin + window)
-        best = min(np.sqrt(values[part].mean()) for values in square.values())
-        worse = max(worse, float(np.sqrt((error[part] ** 2).mean()) - best))
+    worse = _worse({observer: error**2, **square}, round(pwm_hz))
     return Held(
-        case, _outside(off, code, pwm_hz), worse, float((np.abs(error) > SIGMAS * sigma).mean()),
+        case, _outside(off, code, pwm_hz), worse.pop(observer), float((np.abs(error) > SIGMAS * sigma).mean()),
         float(np.abs(error).max()), float(np.sqrt((error**2).mean())), float(np.sqrt((sigma**2).mean())),
-        int(bench.faults), {name: float(np.sqrt(values.mean())) for name, values in square.items()},
+        int(bench.faults), {name: float(np.sqrt(values.mean())) for name, values in square.items()}, worse,
     )  # fmt: skip
+
+
+def _worse(square: Mapping[str, np.ndarray], window: int) -> dict[str, float]:
+    """By how much the rms over so many samples is at most above that of the best of the others, deg, of each."""
+    length = len(next(iter(square.values())))
+    window = min(window, length)
+    begins = range(0, length - window + 1, max(1, window // 4))
+    rms = {name: np.sqrt([of[at : at + window].mean() for at in begins]) for name, of in square.items()}
+    return {name: float((of - np.minimum.reduce([rms[x] for x in rms if x != name])).max()) for name, of in rms.items()}

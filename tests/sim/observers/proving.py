@@ -15,7 +15,7 @@ import numpy as np
 
 import sim
 from bench.device.simulator import motors
-from sim.config.params import BenchParams, load_params
+from sim.config.params import BenchParams, Value, load_params
 from sim.config.unkind import unkind
 from sim.drive.machine import SOURCES, Recorded, SimulatedBench
 from sim.observers import edge_lessons
@@ -31,7 +31,7 @@ PAPER_OMEGA = 1980.0  # rad/s, its largest electrical speed: lessons last as man
 SPEEDS = (100, 200, 500, 1000, 2000, 3000)  # r/min of the paper's motor
 SLOW = (20, 35, 50, 75)
 AMPS = (1, 4, 8)
-ALTERED: dict[str, Mapping[str, object]] = {
+ALTERED: dict[str, Mapping[str, Value]] = {
     "nothing": {},
     "dead time saturates at 0.05 A": {"inverter.i_smooth": 0.05, "clock.substeps": 2},
     "at 0.1 A": {"inverter.i_smooth": 0.1},
@@ -157,7 +157,7 @@ class Compared(NamedTuple):
 def altered(observer: str, what: str, seed: int) -> Proving:
     """The kind bench of the paper's motor with one thing changed."""
     changes = ALTERED[what]
-    factors = {name: value for name, value in changes.items() if "." not in name}
+    factors = {name: value for name, value in changes.items() if "." not in name and isinstance(value, float)}
     return Proving(observer, load_params(None, {k: v for k, v in changes.items() if "." in k}), seed, factors)
 
 
@@ -172,7 +172,9 @@ def of_motor(observer: str, motor: str, kind: bool, seed: int) -> Proving:
     return Proving(observer, load_params(file, {} if kind else unkind(load_params(file))), seed)
 
 
-def sweep(bench: Proving, speeds: Sequence[float] = SPEEDS, amps: Sequence[float] = AMPS) -> dict[tuple, Compared]:
+def sweep(
+    bench: Proving, speeds: Sequence[float] = SPEEDS, amps: Sequence[float] = AMPS
+) -> dict[tuple[float, float], Compared]:
     """Figures by speed (r/min) and current (A)."""
     found = {}
     for rpm in speeds:

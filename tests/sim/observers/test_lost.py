@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from lost import BESIDE, OPERATIONS, OTHERS, Case, bench_of, drawn, held, pulsated
+from lost import BESIDE, OTHERS, Case, bench_of, drawn, held, pulsated
 
 from bench.device.simulator import motors
 from tests.choice import sampled
@@ -35,14 +35,6 @@ def test_of_a_hundred_cases_few_miss_a_goal(hundred):
     misses = "\n".join(f"{one} | {one.case}" for one in found if one.misses)
     count = Counter(miss for one in found for miss in one.misses)
     print(f"{misses}\n{hundred}: {sum(bool(one.misses) for one in found)} of 100 miss a goal: {dict(count)}")
-    for operation in OPERATIONS:
-        part = [one for one in found if one.case.operation == operation]
-        rms = {
-            "edge_kalman": [one.rms for one in part],
-            "best by hindsight": [min(one.others.values()) for one in part],
-        }
-        rms |= {name: [one.others[name] for one in part] for name in BESIDE}
-        print(operation, {name: round(float(np.sqrt(np.mean(np.square(values)))), 2) for name, values in rms.items()})
     assert all(count[goal] <= most for goal, most in MOST.items()), f"{count}\n{misses}"
     for name in BESIDE:
         assert sum(one.rms**2 for one in found) < sum(one.others[name] ** 2 for one in found), name
