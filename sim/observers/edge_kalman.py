@@ -145,6 +145,9 @@ EARLY = 2.0 * DEG  # rad by which an edge must turn the estimate forward to be d
 EARLY_SIGMA = 2.2  # standard deviations by which it is early, with a quiet back-EMF; until the rotor has turned
 DUE = 2.0  # times that angle
 DOUBTFUL = 0.25  # of the square of its residue, more variance of an edge whose sensor was disturbed; chosen: half of it
+FOLLOWS = (
+    2.0  # times the speed that the largest torque reaches within two sectors: edges of two that hold follow no faster
+)
 OVERDUE_GAP = 1.5  # times the last interval after which no edge is early
 BOUNCE = 15.0 * DEG  # rad after an edge within which it may bounce: a quarter of a sector
 HELD_MOST = 5e-3  # s for which an edge is held if the codes are regular: no pulse is so long
@@ -626,8 +629,8 @@ def _edge(
     strong, sharp = _trusted(scale, kalman, state.watch, psi, driven)
     sure = sharp and state.watch.quiet > QUIET
     all_off = (last.off | belief.sensors) & hall_levels.ALL == hall_levels.ALL
-    lost = all_off and not (sure and abs(omega) > scale.omega_b)
     regular = hall_levels.regular(state.levels, belief)
+    lost = all_off and not (sure and abs(omega) > scale.omega_b) and not (regular and _within(state, then))
     by_codes = last.passed == 0 or lost or not driven or regular
     boundary, way = _boundary(lessons, sensor, before, state.levels.code, then, by_codes)
     slot = hall_places.slot(boundary, way)
@@ -644,7 +647,7 @@ def _edge(
     if z * z > UNLIKELY * S and abs(z_late) < abs(z):
         z = z_late
         ago = late
-    far = z * z > GATE * GATE * S
+    far = z * z > GATE * GATE * S and not (held and wrap(kalman.x[0] - at) * way > 0.0)
     touched = (state.levels.touched >> sensor) & 1 == 1
     again = boundary == last.boundary and way == last.way and last.age * abs(omega) < math.pi
     back = way * omega < 0.0 and SHARP * SHARP * kalman.P[5] < omega * omega
@@ -659,7 +662,10 @@ def _edge(
     fate = USED
     since = last.age - ago
     overdue = since > OVERDUE_GAP * last.gap and not touched
-    follows = last.held > 0 and boundary == last.next and way == last.next_way
+    apart = since - last.then
+    fastest = FOLLOWS * math.sqrt(omega * omega + 4.0 * SECTOR_WIDTH * scale.alpha)
+    next_one = last.held > 0 and boundary == last.next and way == last.next_way
+    follows = next_one and z * way > 0.0 and fastest * apart > SECTOR_WIDTH
     early = (
         state.watch.quiet > QUIET
         and z * way > EARLY_SIGMA * math.sqrt(S)
@@ -683,8 +689,8 @@ def _edge(
         wait = STAYED * since
     elif back or far:
         wait = math.inf
-    if regular:
-        wait = min(wait, HELD_MOST)
+    if regular and fastest * since > SECTOR_WIDTH:
+        wait = min(wait, HELD_MOST + ago - late)
     return Edge(boundary, way, pair, at, ago, z, r, fast, far, lost, fate, wait), belief, lessons
 
 
@@ -822,6 +828,13 @@ def _sector(lessons: Lessons, sector: int) -> tuple[float, float]:
 
 
 @kernel
+def _within(state: State, theta: float) -> bool:
+    """Whether an angle lies in the sector that the levels show, or little beside it."""
+    middle, width = _sector(state.lessons, SECTOR_OF_CODE[state.levels.code])
+    return abs(wrap(theta - middle)) < 0.5 * width + OVERDUE_FURTHEST
+
+
+@kernel
 def _limits(state: State) -> tuple[float, float, float]:
     """Middle and width of where the rotor is by the levels, and the variance of the edge that it would leave by.
 
@@ -863,7 +876,8 @@ def _bounded(scale: Scale, state: State, t: float, sharp: bool, driven: bool) ->
     turned = t * max(abs(omega), scale.omega_v)
     out = watch.out + turned if past > (most if sharp else edge) and regular else max(watch.out - turned, 0.0)
     doubt = watch.doubt
-    if out > LOST + QUIET * abs(omega):
+    sure = sharp and watch.quiet > QUIET and abs(omega) > scale.omega_b
+    if out > LOST + QUIET * abs(omega) and not sure:
         kalman, last = _in_sector(scale, kalman, last, state.lessons, SECTOR_OF_CODE[state.levels.code])
         belief = belief._replace(doubts=(0, 0, 0))
         out = 0.0
@@ -886,7 +900,10 @@ def _bounded(scale: Scale, state: State, t: float, sharp: bool, driven: bool) ->
         )
         kalman = kalman._replace(x=(theta - side * over, omega, alpha, b, c), P=P)
     kalman = _between(kalman, middle, width)
+    sd = math.sqrt(max(kalman.P[5], 0.0))
+    leaves = max(min(kalman.x[1] * side - sd, sd), 0.0) / max(sd, scale.T_s) * clip(max(past, 0.0) / most, 1.0)
     pull, variance = _told(kalman, doubt, middle, width if regular and driven else 0.0)
+    variance += leaves * square(0.5 * width)  # it stands here as an edge is overdue: a dead sensor leaves that out
     watch = watch._replace(out=out, doubt=doubt, pull=pull, variance=variance)
     return state._replace(filter=kalman, last=last, belief=belief, watch=watch)
 
@@ -1018,6 +1035,7 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
         ago = late = last.age - last.then
         if ago > last.wait:
             sensor = last.held - 1
+            before = state.levels.code ^ 1 << sensor
     if sensor >= 0 and hall_levels.believed(state.belief, sensor):
         edge, belief, lessons = _edge(params, state, sensor, before, ago, late, driven, held)
         state = state._replace(belief=belief, lessons=lessons)

@@ -42,7 +42,7 @@ def rows(short: bool) -> Iterator[Row]:
     worst: dict[str, list[float]] = {}
     for motor, kind in BENCHES[:1] if short else BENCHES:
         for share, load in POINTS[-1:] if short else POINTS:
-            for what, figure in _costs(End(motor, kind, share, load), 2 if short else PULSES):
+            for what, figure in costs(End(motor, kind, share, load), 2 if short else PULSES):
                 worst.setdefault(what, []).append(figure)
     for what, found in worst.items():
         goal = MOST if what.endswith("added") and "/s" not in what else None
@@ -78,11 +78,16 @@ class End:
         reset = np.zeros(s.tick.size, np.bool_)
         return self.observer.run(self.front.run(s.measured, s.edges, reset), reset).view(np.recarray)
 
-    def error(self, s: Signals) -> tuple[np.ndarray, np.ndarray]:
-        """Its size, deg, and who is named: bits 0-2."""
+    def seen(self, s: Signals) -> tuple[np.recarray, np.ndarray]:
+        """The estimates, and the size of their error, deg."""
         self.front.state.first, self.observer.state.first = self._before
         out = self._observed(s)
-        return np.abs(error_deg(s.theta, out.theta)), out.sensors & 7
+        return out, np.abs(error_deg(s.theta, out.theta))
+
+    def error(self, s: Signals) -> tuple[np.ndarray, np.ndarray]:
+        """Its size, deg, and who is named: bits 0-2."""
+        out, error = self.seen(s)
+        return error, out.sensors & 7
 
     def added(self, s: Signals) -> float:
         """The largest error that a disturbance adds, deg; infinite if somebody is named for it."""
@@ -105,7 +110,8 @@ def _signals(bench: Proving, parts: Sequence[Recorded]) -> Signals:
     )
 
 
-def _costs(end: End, n: int) -> Iterator[tuple[str, float]]:
+def costs(end: End, n: int) -> Iterator[tuple[str, float]]:
+    """What disturbances cost at the end of a run, `n` pulses of each width: what, and deg or turns."""
     rng, s = np.random.default_rng(7), end.signals
     first, span = int(s.tick[0]), end.seconds * end.tick_hz
 

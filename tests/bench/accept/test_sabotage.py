@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -295,7 +296,7 @@ WRONG = {
         ["error_std.slow.forwards", "error_std.fast.backwards"],
     ),
     "edge-kalman": (
-        ("edge_kalman", "Estimate(theta, omega_lpf, bel", "Estimate(theta + 0.08, omega_lpf, bel"),
+        ("edge_kalman", "Estimate(theta, omega_lpf, sens", "Estimate(theta + 0.08, omega_lpf, sens"),
         ["error_mean.fast.forwards", "error_mean.fast.backwards"],
     ),
 }  # fmt: skip
@@ -319,6 +320,13 @@ def test_an_observer_that_is_wrong_in_one_line_fails_in_its_own_test(name, motor
     assert failed >= {f"observer[{name}].{measurement}" for measurement in must}
     assert run.tests["observer[average-speed]"] == "PASS"
     workshop.require_safe()
+
+
+def test_the_lines_that_are_made_wrong_are_there() -> None:
+    for name, ((module, old, new), _must) in WRONG.items():
+        file = find_spec(f"sim.observers.{MORE.get(name, {}).get('module', module)}").origin
+        assert Path(file).read_text().count(old) == 1, name
+        assert old != new
 
 
 NAMED = {
