@@ -16,6 +16,7 @@ from zlib import crc32
 import numpy as np
 
 from bench.errors import NodeError
+from bench.rig.drive import RanAway
 from bench.rig.outputs import Recording
 from bench.rig.rig import Plan, Rig
 from bench.signal.sources import source_number
@@ -191,17 +192,21 @@ def in_the_loop(observer: str) -> InTheLoop:
 
 
 def _course(rig: Rig) -> list[str]:
-    """What happened in each of `STAGES`; after a trip no others follow."""
+    """What happened in each of `STAGES`; after a trip, or a motor that ran away, no others follow."""
     found: list[str] = []
     start(rig)
     for target, load in STAGES.values():
-        rig.load.torque(0.0)
-        rig.wait(0.4)
-        with suppress(NodeError):  # it has tripped
-            rig.drive.speed(rpm=target)
-        rig.load.torque(load * rig.drive.torque_constant)
-        rig.wait(0.7)
-        rpm = rig.record(60.0 / abs(target))["omega_enc"] / (RPM * rig.drive.n_p)
+        try:
+            rig.load.torque(0.0)
+            rig.wait(0.4)
+            with suppress(NodeError):  # it has tripped
+                rig.drive.speed(rpm=target)
+            rig.load.torque(load * rig.drive.torque_constant)
+            rig.wait(0.7)
+            rpm = rig.record(60.0 / abs(target))["omega_enc"] / (RPM * rig.drive.n_p)
+        except RanAway:
+            found.append("runs away")
+            break
         if rig.drive.faults:
             found.append(f"trips: {', '.join(rig.drive.faults)}")
             break
