@@ -900,10 +900,9 @@ def _bounded(scale: Scale, state: State, t: float, sharp: bool, driven: bool) ->
         )
         kalman = kalman._replace(x=(theta - side * over, omega, alpha, b, c), P=P)
     kalman = _between(kalman, middle, width)
-    sd = math.sqrt(max(kalman.P[5], 0.0))
-    leaves = max(min(kalman.x[1] * side - sd, sd), 0.0) / max(sd, scale.T_s) * clip(max(past, 0.0) / most, 1.0)
     pull, variance = _told(kalman, doubt, middle, width if regular and driven else 0.0)
-    variance += leaves * square(0.5 * width)  # it stands here as an edge is overdue: a dead sensor leaves that out
+    if past > 0.0 and kalman.x[1] * side > 0.0 and square(kalman.x[1]) > 4.0 * kalman.P[5]:
+        variance += min(past / most, 1.0) * square(0.5 * width)  # an edge is overdue: a dead sensor leaves it out
     watch = watch._replace(out=out, doubt=doubt, pull=pull, variance=variance)
     return state._replace(filter=kalman, last=last, belief=belief, watch=watch)
 
