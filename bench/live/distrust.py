@@ -1,6 +1,6 @@
 """What the drive's Kalman filter on edges doubts, by the channel `sensors_ek`: Hall sensors, and its own angle.
 
-It is said, and counted.
+It is said, and counted; of the angle while the drive runs, as it has no back-EMF to know it by with its outputs off.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from bench.device.heard import ClockRestarted, Heard
+from bench.signal.position import running
 from bench.signal.trace import INPUTS
 from protocol.streams import SampleChunk, StreamConfig
 
@@ -70,8 +71,9 @@ class Distrust:
 
     def _look(self, chunk: SampleChunk) -> None:
         self._samples += len(chunk)
+        bits = np.where(running(chunk), chunk.raw[CHANNEL], chunk.raw[CHANNEL] & (1 << LOST) - 1)
         for bit, (now, again) in enumerate(WORDS):
-            rows = np.flatnonzero(chunk.raw[CHANNEL] >> bit & 1)
+            rows = np.flatnonzero(bits >> bit & 1)
             self._set[bit] += len(rows)
             if len(rows):
                 if bit not in self._last:
