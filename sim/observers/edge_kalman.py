@@ -145,9 +145,7 @@ EARLY = 2.0 * DEG  # rad by which an edge must turn the estimate forward to be d
 EARLY_SIGMA = 2.2  # standard deviations by which it is early, with a quiet back-EMF; until the rotor has turned
 DUE = 2.0  # times that angle
 DOUBTFUL = 0.25  # of the square of its residue, more variance of an edge whose sensor was disturbed; chosen: half of it
-FOLLOWS = (
-    2.0  # times the speed that the largest torque reaches within two sectors: edges of two that hold follow no faster
-)
+FOLLOWS = 2.0  # times the speed that the largest torque reaches in two sectors: no edge follows one sooner
 OVERDUE_GAP = 1.5  # times the last interval after which no edge is early
 BOUNCE = 15.0 * DEG  # rad after an edge within which it may bounce: a quarter of a sector
 HELD_MOST = 5e-3  # s for which an edge is held if the codes are regular: no pulse is so long
