@@ -12,12 +12,12 @@ same benchmark with `OBSERVER = "learned_edges"`, run on the commit 1575d98.
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 DOCS = Path(__file__).parent
@@ -39,6 +39,7 @@ def main() -> None:
 def drawn_cases() -> dict[str, Any]:
     """Of the drawn cases how many miss which goal, the errors (deg rms) by operation, and those that miss one."""
     sys.path.insert(0, str(DOCS.parent))
+    from bench.hall.table_reading import rms
     from tests.sim.observers.lost import BESIDE, OPERATIONS, drawn, held
 
     found = [held(drawn(seed)) for seed in SEEDS]
@@ -47,7 +48,7 @@ def drawn_cases() -> dict[str, Any]:
         part = [one for one in found if one.case.operation == operation]
         of = {"filter": [one.rms for one in part], "best": [min(one.others.values()) for one in part]}
         of |= {name: [one.others[name] for one in part] for name in BESIDE}
-        errors[operation] = {name: round(rms(values), 1) for name, values in of.items()}
+        errors[operation] = {name: round(rms(np.array(values)), 1) for name, values in of.items()}
     count = Counter(miss for one in found for miss in one.misses)
     return {
         "count": {goal: count[goal] for goal in ("trip", "outside", "sigma", "worse")},
@@ -64,11 +65,6 @@ def drawn_cases() -> dict[str, Any]:
             for one in found if one.misses
         ],
     }  # fmt: skip
-
-
-def rms(values: list[float]) -> float:
-    """Root of the mean square."""
-    return math.sqrt(sum(value**2 for value in values) / len(values))
 
 
 def environment() -> Environment:
