@@ -12,7 +12,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
-from math import isfinite, nan
+from math import hypot, isfinite, nan
 from typing import Any
 from zlib import crc32
 
@@ -421,7 +421,7 @@ class Device:
             raise Refusal(Code.NOT_SUPPORTED, mode)
         speed = mode == Mode.SPEED
         limit = self.value("omega_m_max", OMEGA_M_MAX) if speed else self.value("i_max", I_MAX)
-        if abs(value) > limit:
+        if (abs(value) if speed else hypot(value, value2)) > limit:
             raise Refusal(Code.OUT_OF_RANGE, limit)
         self.motor.setpoint = Mode(mode), value
 
