@@ -581,6 +581,7 @@ class Device:
         pole_pairs = self.value("n_p", motor.pole_pairs)
         by_encoder = pole_pairs / motor.pole_pairs if isfinite(pole_pairs) else 1.0
         samples = Samples(
+            period=ticks / TICK_HZ,
             tick=index * ticks,
             index=index,
             theta=theta,
