@@ -239,7 +239,7 @@ class Device:
             raise Refusal(Code.BAD_VERSION, MAJOR)
         if rx_max < 128:
             raise Refusal(Code.OUT_OF_RANGE, 128)
-        if nonce != peer.nonce:
+        if (nonce, rx_max) != (peer.nonce, peer.rx_max):
             peer.kept.clear()
         peer.nonce, peer.rx_max = nonce, rx_max
         return HELLO.pack(nonce, *self.hello_fields(rx_max).values())
@@ -470,7 +470,7 @@ class Device:
             raise Refusal(Code.UNKNOWN_ID, number)
         s = self.streams[number]
         told = (number, s.running, s.event, s.slot, s.decimation, s.latency_ms, s.cfg_id, s.sample_bytes, s.block, 0)
-        ids = [channel.id for channel in s.channels]
+        ids = [channel.id for channel in s.channels][: (min(peer.rx_max, MAX_PAYLOAD) - 26) // 2]
         return struct.pack(f"<BBBBHHHHHxxQH{len(ids)}H", *told, len(ids), *ids)
 
     def flush(self, stream: Stream, everything: bool = False) -> None:
