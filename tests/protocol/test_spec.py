@@ -34,7 +34,7 @@ def test_generated_tables_are_current() -> None:
 
 def test_requirements_are_numbered_and_say_must_should_or_may() -> None:
     found = requirements()
-    assert len(found) == len(re.findall(r"\[\d+\.\d+ [DH]+\]", TEXT))
+    assert len(found) == len(re.findall(r"\[\d+\.\d+\s+[DH]+\]", TEXT))
     numbers: dict[int, list[int]] = {}
     for number, each in found.items():
         chapter, count = map(int, number.split("."))
