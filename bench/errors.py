@@ -33,6 +33,10 @@ class NodeError(BenchError):
     """A device on the link would not do what it was told."""
 
 
+class SeveralDevices(NodeError):
+    """More than one device answers as one node: none of them is told anything but STOP."""
+
+
 class DoesNotFit(NodeError):
     """A stream is more than the link carries. `decimation`: the smallest one that would fit, 0 if none does."""
 

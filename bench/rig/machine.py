@@ -19,7 +19,7 @@ class Machine:
 
     title = "the machine"
     advice = ""
-    """What to do about a watchdog that was not fed, to follow its words."""
+    """What to do where this program did not feed the watchdog, to follow these words."""
     place = ""
     """Where its parameters are, after "not restored", if it is not the drive."""
     agreed: Callable[[], None] = staticmethod(lambda: None)
@@ -82,8 +82,10 @@ class Machine:
         client, number = self.node.client, self.node.number
         faults = client.faults.get(number, Fault(0))
         words = f"{self.name} tripped: {', '.join(fault_names(faults))}"
-        unfed = client.starved(number, self.watchdog) if faults & Fault.WATCHDOG else ""
-        return f"{words}: {unfed}{self.advice}" if unfed else words
+        if not faults & Fault.WATCHDOG:
+            return words
+        advice = self.advice if client.starved(number, self.watchdog) else ""
+        return f"{words}{self.node.unfed(faults, self.watchdog)}{advice}"
 
     def put_back(self) -> None:
         """Every parameter as it was before. All of it is tried; the first error is raised at the end.

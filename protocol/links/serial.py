@@ -25,6 +25,7 @@ _TCGETS2 = 0x802C542A
 _TERMIOS2 = struct.Struct("=4I20x2I")  # c_iflag..c_lflag, c_line and c_cc, c_ispeed, c_ospeed
 _GONE = {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO}
 _RATE_TOLERANCE = 0.03
+BOOT = 7.0  # s after opening a port in which a board that was reset by that is waited for
 LOOK = 0.005  # s between two looks at a port for which nothing has come
 
 
@@ -94,7 +95,7 @@ class SerialLink(DescriptorLink):
 
     def wire(self) -> HostWire:
         """See `Link.wire`."""
-        return ByteWire(self.target.baud)
+        return ByteWire(self.target.baud, BOOT, self.target.open_delay)
 
     def close(self) -> None:
         """See `Link.close`."""
