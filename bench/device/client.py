@@ -92,6 +92,7 @@ class _Watch:
     last_alive: float = -1e9
     counter: int = 0
     feed: bool = False
+    fed: float = 0.0  # when it was last fed, or feeding began
     longest: float = 0.0  # s between two ALIVEs since feeding began
     pause: float = 0.0  # s: the longest time in which `poll` did not get to feed it, since feeding began
     silent: float = 0.0  # s: the longest time in which nothing came of it
@@ -380,8 +381,7 @@ class Client:
             case ReplyUnusable(tid=tid, error=error):
                 self._settle(tid, error=error)
             case RequestTimedOut(tid=tid, node=node, type=kind, tries=tries):
-                text = f"node {node} on {self.link.name} did not answer {kind.name} in {tries} tries"
-                self._settle(tid, error=NoReply("; ".join([text, *oddities(self.link)])))
+                self._settle(tid, error=NoReply(self._no_answer(node, kind, tries, now)))
             case Connected(hello=hello):
                 self.hello = hello
                 if self.health.down_since is not None:
@@ -403,6 +403,15 @@ class Client:
                 self._clocks.pop(node, None)
                 if self.on_reboot:
                     self.on_reboot(node)
+
+    def _no_answer(self, node: int, kind: MessageType, tries: int, now: float) -> str:
+        """That `node` did not answer, and whether it was heard meanwhile."""
+        text = f"node {node} on {self.link.name} did not answer {kind.name} in {tries} tries"
+        if node in self.boots or self._streams.get(node):
+            silent = now - self._watches[node].last_seen
+            late = f"nothing came of it for {silent:.2f} s" if silent > FRESH else "it is heard, and did not hear this"
+            text = f"{text}: {late}"
+        return "; ".join([text, *oddities(self.link)])
 
     def _deliver(self, chunk: Chunk | None) -> None:
         if chunk is not None and len(chunk):
@@ -497,14 +506,16 @@ class Client:
 
     def feed(self, node: int, on: bool) -> None:
         """Start or stop feeding the watchdog of `node`."""
-        watch = self._watches.setdefault(node, _Watch())
-        if watch.feed and not on and watch.last_alive > -1e8:
-            watch.longest = max(watch.longest, self.now() - watch.last_alive)
-            self._note_pause(self.now() - self._polled)
+        watch, now = self._watches.setdefault(node, _Watch()), self.now()
+        if watch.feed and not on:
+            watch.longest = max(watch.longest, now - watch.fed)
+            watch.silent = max(watch.silent, now - watch.last_seen)
+            self._note_pause(now - self._polled)
         watch.feed = on
         if on:
-            watch.last_alive, watch.longest, watch.pause, watch.silent, watch.down = -1e9, 0.0, 0.0, 0.0, 0.0
-            watch.last_seen = max(watch.last_seen, self.now())
+            watch.last_alive, watch.fed = -1e9, now
+            watch.longest = watch.pause = watch.silent = watch.down = 0.0
+            watch.last_seen = max(watch.last_seen, now)
             gc.freeze()  # to go through all that is there takes 0.1 to 0.3 s, and a watchdog waits for 0.2 s
         elif not any(each.feed for each in self._watches.values()):
             gc.unfreeze()
@@ -512,22 +523,22 @@ class Client:
     def starved(self, node: int, watchdog: float = WATCHDOG) -> str:
         """Why the watchdog of `node`, which waits `watchdog` s, may have run out, if the reason is here; else ''."""
         watch, longest = self._watches.get(node, _Watch()), self.longest_unfed(node)
-        if longest < watchdog:
-            return ""
+        silent = max(watch.silent, self.now() - watch.last_seen if watch.feed else 0.0)
         words = f"this host sent no ALIVE for {longest:.2f} s"
+        if longest < watchdog:
+            return f"nothing came of it for {silent:.2f} s: the link carried nothing" if silent >= watchdog else ""
         if watch.pause > longest / 2:
             return f"{words} (it was starved of CPU or stopped, or the link is slow)"
         if watch.down > longest / 2:
             return f"{words}, because {self.link.name} was gone for {watch.down:.2f} s"
-        if max(watch.silent, self.now() - watch.last_seen) > FRESH:
-            return f"{words}, because the drive was silent"
+        if silent > FRESH:
+            return f"{words}, because the drive was silent for {silent:.2f} s: the link carried nothing"
         return f"{words}, and its watchdog waits {watchdog:g} s only"
 
     def longest_unfed(self, node: int) -> float:
         """The longest time in s between two ALIVEs to `node` since feeding began, one that goes on included."""
         watch = self._watches.get(node, _Watch())
-        going_on = self.now() - watch.last_alive if watch.feed and watch.last_alive > -1e8 else 0.0
-        return max(watch.longest, going_on)
+        return max(watch.longest, self.now() - watch.fed if watch.feed else 0.0)
 
     def _note_pause(self, seconds: float) -> None:
         self.longest_pause = max(self.longest_pause, seconds)
@@ -539,9 +550,8 @@ class Client:
     def _feed_watchdogs(self, now: float) -> None:
         for node, watch in self._watches.items():
             if watch.feed and now - watch.last_alive >= ALIVE_PERIOD and now - watch.last_seen <= FRESH:
-                if watch.last_alive > -1e8:
-                    watch.longest = max(watch.longest, now - watch.last_alive)
-                watch.last_alive = now
+                watch.longest = max(watch.longest, now - watch.fed)
+                watch.last_alive = watch.fed = now
                 watch.counter += 1
                 self.session.send(Alive(counter=watch.counter & 0xFFFFFFFF), node)
 

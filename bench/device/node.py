@@ -293,17 +293,18 @@ class Node:
         heartbeat = self.next_heartbeat()
         if heartbeat is None or heartbeat.state != DriveState.FAULT:
             return ""
-        return f"it tripped: {', '.join(fault_names(heartbeat.faults))}{self.unfed(heartbeat.faults)}"
+        unfed = self.unfed(heartbeat.faults)
+        return f"it tripped: {', '.join(fault_names(heartbeat.faults))}{unfed and f': {unfed}'}"
 
     def unfed(self, faults: Fault, watchdog: float | None = None) -> str:
-        """Why its watchdog, which waits `watchdog` s (None: ask it), ran out, after ": "; empty if that did not."""
+        """Why its watchdog, which waits `watchdog` s (None: ask it), ran out; empty if that is not among `faults`."""
         if not faults & Fault.WATCHDOG:
             return ""
         if watchdog is None:
             watchdog = WATCHDOG
             with suppress(HbpError, NodeError):
                 watchdog = self.parameter("watchdog").value if self.has_parameter("watchdog") else WATCHDOG
-        return f": {why_unfed(self, watchdog)}"
+        return why_unfed(self, watchdog)
 
     def astray(self) -> str:
         """Why a node that was started does not run as it should, by its heartbeats; see `bench.device.safety.Vigil`."""

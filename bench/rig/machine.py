@@ -82,10 +82,14 @@ class Machine:
         client, number = self.node.client, self.node.number
         faults = client.faults.get(number, Fault(0))
         words = f"{self.name} tripped: {', '.join(fault_names(faults))}"
-        if not faults & Fault.WATCHDOG:
-            return words
-        advice = self.advice if client.starved(number, self.watchdog) else ""
-        return f"{words}{self.node.unfed(faults, self.watchdog)}{advice}"
+        if unfed := self.unfed():
+            advice = self.advice if client.starved(number, self.watchdog) else ""
+            return f"{words}: {unfed}{advice}"
+        return words
+
+    def unfed(self) -> str:
+        """Why its watchdog ran out; empty if it has not."""
+        return self.node.unfed(self.node.client.faults.get(self.node.number, Fault(0)), self.watchdog)
 
     def put_back(self) -> None:
         """Every parameter as it was before. All of it is tried; the first error is raised at the end.

@@ -21,7 +21,7 @@ ACCEPT = "accept TARGET -k test_stop --yes"
 REAL_LINKS = tuple(pytest.param(link, marks=pytest.mark.real_links) for link in ("pty", "tcp", "slcan", "virtual"))
 LINKS = ("bytes", "CAN", *REAL_LINKS)
 CAN = ("CAN", "slcan", "virtual")
-OPENED = ("bench.live.run", "bench.device.description", "bench.rig.connection")
+OPENED = ("bench.live.run", "bench.device.description", "bench.rig.connection", "protocol.links")
 """Modules that open a link."""
 PATIENCE = 30.0  # s that a command may take at most
 
