@@ -23,6 +23,10 @@ class ExitCode(IntEnum):
     """The output pipe was closed."""
 
 
+UNSAFE = "OUTPUTS MAY STILL BE ON: cut the power"
+"""What `OutputsMayBeOn` begins with."""
+
+
 class BenchError(Exception):
     """Something that the user can mend. `str(error)` is the whole story, in one line."""
 

@@ -69,6 +69,7 @@ DRIVE, LOAD = 1, 2
 SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
 MAX_LATENCY_MS = 20  # with which the bench configures streams
+DUE = 0.15  # s after which the next heartbeat is late
 _BLOB_PART = 512
 
 
@@ -96,6 +97,8 @@ class Node:
         self._descriptor: Descriptor | None = None
         self._streams: dict[int, StreamSet] = {}
         self._vigil: Vigil | None = None  # while it should run
+        self.stopped_for = ""
+        """Why it is stopped, for OutputsMayBeOn to name; until it is off."""
         self.load = 0.0
         """Share of the link that its streams take at most, by the device; 0 = unknown."""
 
@@ -230,8 +233,7 @@ class Node:
         Nothing is armed unless its heartbeats come, and are those of one device: NodeError. Raises NodeError if it is
         refused, and DriveFailed, with the node stopped, unless a heartbeat shows it ARMED with its watchdog at work.
         """
-        self.client.listen(self.number)
-        self._require_heartbeats()
+        self.require_alive()
         self.client.feed(self.number, on=True)
         try:
             state = self.command(Command.ARM, self.identity.boot_id)
@@ -250,12 +252,13 @@ class Node:
             return
         self._give_up(f"refusing to energise node {self.number}: {why}")
 
-    def _require_heartbeats(self) -> None:
-        """NodeError unless a heartbeat has come of late, of the boot that is known: without one nobody sees it off."""
+    def require_alive(self) -> None:
+        """NodeError unless it is one device whose heartbeats come: without them nobody would see it go off."""
         number, boots = self.number, self.client.boots.setdefault(self.number, {})
+        self.client.listen(number)
 
         def late() -> bool:
-            return max((came for came, _ in boots.values()), default=-math.inf) < self.client.now() - HEARTBEATS
+            return max((came for came, _ in boots.values()), default=-math.inf) < self.client.now() - DUE
 
         if late() and not self.client.wait(lambda: not late(), 2 * HEARTBEATS):
             why = "it sends no heartbeat (one every 100 ms is due), so nobody could see its outputs go off"
@@ -270,10 +273,11 @@ class Node:
 
     def _give_up(self, why: str) -> NoReturn:
         """STOP, and raise DriveFailed; OutputsMayBeOn, which says why too, if it is not seen to be off."""
+        self.stopped_for = why
         try:
             self.stop()
-        except (OutputsMayBeOn, DriveFailed) as failure:
-            raise type(failure)(f"{failure} ({why})") from None
+        except DriveFailed as failure:
+            raise DriveFailed(f"{why}; {failure}") from None
         raise DriveFailed(why)
 
     def start(self) -> None:
@@ -313,7 +317,12 @@ class Node:
     def stop(self) -> DriveState:
         """Outputs off, from any state, and seen to be off: see `bench.device.safety.switch_off` for what it raises."""
         self._vigil = None
-        return switch_off(self)
+        try:
+            state = switch_off(self)
+        except OutputsMayBeOn as failure:
+            raise OutputsMayBeOn(f"{failure} ({self.stopped_for})" if self.stopped_for else str(failure)) from None
+        self.stopped_for = ""
+        return state
 
     def clear_faults(self) -> None:
         """Clear exactly the faults that the last heartbeat showed; refused if there are others by now."""

@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Protocol
 
 from bench.device.client import Client
-from bench.errors import DriveFailed, OutputsMayBeOn
+from bench.errors import UNSAFE, DriveFailed, OutputsMayBeOn
 from protocol.codes import fault_names
 from protocol.errors import HbpError, LinkError, NoReply, Refused
 from protocol.messages import Command, DriveState, Heartbeat, HelloReply
@@ -87,8 +87,8 @@ def switch_off(node: Node) -> DriveState:
         except DriveFailed as lie:
             troubles.append(str(lie))
             lies.append(str(lie))
-        except NoReply:
-            troubles.append(f"{_name(node)} did not answer STOP")
+        except NoReply as error:
+            troubles.append(f"{_name(node)} did not answer STOP{str(error).partition(' tries')[2]}")
         except LinkError as error:
             troubles.append(f"STOP was not sent, or its answer not heard: {error}")
             if not _back(client):
@@ -137,8 +137,8 @@ def _still(node: Node, since: float) -> str:
     if newest is None:
         return says(None)
     if newest[0] <= since:
-        age = f"none came for {node.client.now() - newest[0]:.1f} s"
-        return f"it sends no heartbeat: {age}; the last one said {_state(newest[1])}"
+        silent = node.client.now() - newest[0]
+        return f"no heartbeat came for {silent:.1f} s, and the last one said {_state(newest[1])}"
     wrong = [heartbeat for came, heartbeat in _heard(node) if not (came > since and is_off(heartbeat))]
     return says(wrong[-1] if wrong else newest[1])
 
@@ -156,7 +156,7 @@ def _by_itself(node: Node, troubles: list[str]) -> DriveState:
     if _all_off(node, since):
         raise DriveFailed(f"{troubles[-1]}{often}; now {says(node.client.heartbeats.get(node.number))}")
     raise OutputsMayBeOn(
-        f"OUTPUTS MAY STILL BE ON: cut the power. {troubles[-1]}{often}; {_name(node)} was not confirmed off"
+        f"{UNSAFE}. {troubles[-1]}{often}; {_name(node)} was not confirmed off"
     )
 
 

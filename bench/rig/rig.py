@@ -287,6 +287,8 @@ class Rig:
         """
         self.tripped = why
         self.client.note(why, "ERROR")
+        for machine in self.machines:
+            machine.node.stopped_for = why
         self._tell(failures_of(machine.stop for machine in self.machines if machine.on))
 
     def rest(self) -> None:

@@ -104,7 +104,7 @@ def test_whatever_kept_the_watchdog_unfed_is_named(
     assert trips == [Fault.WATCHDOG]
     text = ran.text.replace("- ", "")
     if "did not answer" in text and "tripped" not in text:  # the request was lost with all else
-        named = re.search(r"did not answer \w+ in 3 tries: (nothing came of it|it is heard, and did not)", text)
+        named = re.search(r"did not answer (\w+ in 3 tries|STOP): (nothing came of it|it is heard, and did not)", text)
     else:
         named = re.search(r"tripped:? WATCHDOG", text) and re.search(words, text)
         if named and kind == "paused":
