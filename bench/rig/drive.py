@@ -39,6 +39,7 @@ class Drive(Machine):
     """Node `node`, within `envelope`."""
 
     title = "the drive"
+    advice = "; compute after drive.stop(), not while the drive runs"
     starts_by_itself = False
     """Whether a setpoint starts it, as it does in a notebook."""
 

@@ -51,7 +51,6 @@ def open_rig(
     held = alone_on(target, load_target(settings))
     rig = Rig(Plan(link, target, settings, limits, virtual=target == SIM, held=held))
     drive = rig.drive.node
-    rig.drive.advice = "; compute after drive.stop(), not while the drive runs"
 
     confirm = partial(_confirm, rig.client)
 

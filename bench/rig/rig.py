@@ -124,6 +124,8 @@ class Rig:
             self.client.on_reboot = self._rebooted.add
             node = plan.find(self.client, plan.target)
             self.drive = Drive(node, plan.envelope)
+            if plan.goes_on:
+                self.drive.advice = ""  # nobody computes here
             self.recorder = Recorder(node.number)
             self._stack = stack.pop_all()
 
