@@ -67,6 +67,12 @@ class RecordingError(BenchError):
     exit_code = ExitCode.NOT_RECORDED
 
 
+class ViewerError(BenchError):
+    """The live view cannot be started."""
+
+    exit_code = ExitCode.NO_VIEWER
+
+
 class UnsafeError(BenchError):
     """Refused because it would energise a drive without an explicit act."""
 

@@ -33,7 +33,7 @@ from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.lock import alone_on
 from bench.rig.needs import NEEDS, require
 from bench.rig.outcome import RunOutcome
-from bench.rig.outputs import Recording, load_beside
+from bench.rig.outputs import Recording, load_beside, require_viewable
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.streams import decimation_of
@@ -443,6 +443,7 @@ def run(
     the live view up after that. Raises BenchError and HbpError for what the user can mend. However this is left, STOP
     was sent, or could not be sent and the note says so.
     """
+    require_viewable(options.save, options.viewer)
     if options.save is not None:
         check_output(options.save, str(options.save), options.overwrite, recording=True)
     if options.estimate:
