@@ -18,6 +18,7 @@ from serial.tools import list_ports
 
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links.base import DescriptorLink
+from protocol.links.rivals import rivals
 from protocol.links.target import SerialTarget
 from protocol.wire import ByteWire, HostWire
 
@@ -82,7 +83,8 @@ class SerialLink(DescriptorLink):
     def _cannot_open(self, error: OSError) -> LinkError:
         port = self.target.port
         if error.errno in (errno.EAGAIN, errno.EBUSY):
-            return LinkBusy(f"{port} is held by another program: close it and try again")
+            named = f" ({', '.join(others)})" if (others := rivals(port)) else ""
+            return LinkBusy(f"{port} is held by another program{named}: close it and try again")
         if error.errno in (errno.EACCES, errno.EPERM):
             return LinkError(f"no permission for {port}: add your user to its group (often dialout)")
         if error.errno in _GONE:
@@ -92,6 +94,11 @@ class SerialLink(DescriptorLink):
         if error.errno == errno.EISDIR or "Could not configure port" in str(error):
             return LinkError(f"{port} is not a serial port")
         return LinkError(f"cannot open {port}: {error}")
+
+    def oddities(self) -> list[str]:
+        """Why nothing may come, if that is known: another program has the port open, too."""
+        names = " and ".join(rivals(self.target.port))
+        return [f"{names} has {self.target.port} open, too, and may take what comes: close it"] if names else []
 
     def wire(self) -> HostWire:
         """See `Link.wire`."""

@@ -12,7 +12,7 @@ import os
 from protocol.canmap.frame import CAN_RECORD
 from protocol.canmap.host import CanWire
 from protocol.links.base import MAX_READ
-from protocol.wire import ByteWire, HostWire
+from protocol.wire import PATIENCE, ByteWire, HostWire
 from tests.devices.carriers import CLASSIC, STOP_FRAME, ByteCarrier, CanCarrier
 from tests.devices.device import Device
 
@@ -62,6 +62,7 @@ class VirtualLink:
         self.device: Device  # set when it has been made with this link's clock
         self._now = 0.0
         self._can = can
+        self.patience, self.delay = PATIENCE, 0.0  # of a byte link: those of a serial port are its own
 
     def clock(self) -> float:
         """Virtual seconds."""
@@ -69,7 +70,7 @@ class VirtualLink:
 
     def wire(self) -> HostWire:
         """See `Link.wire`."""
-        return CanWire(CLASSIC) if self._can else ByteWire()
+        return CanWire(CLASSIC) if self._can else ByteWire(patience=self.patience, delay=self.delay)
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`."""
