@@ -11,6 +11,7 @@ drive's watchdog switch the outputs off.
 from __future__ import annotations
 
 import gc
+import math
 import secrets
 import time
 from collections.abc import Callable, Iterable
@@ -66,6 +67,7 @@ SETTLE = 0.02  # s: how long a turn goes on collecting once bytes come
 REOPEN_PERIOD = 0.1  # s between attempts to open a link that went away
 QUIET = 1.0  # s without a stream frame after which none is under way; a CAN device gives them up after 0.5 s
 PAUSE = 0.1  # s without a turn from which on this program was paused
+AFTER_PAUSE = 2.0  # s in which what has waited in the link meanwhile may still be under way
 GRACE = 0.5  # s for which a wait goes on after a pause of this program: what came meanwhile is looked at first
 LISTEN = 0.4  # s that it takes to see by heartbeats that two devices are one node: A, B, A, B, A
 ANSWER = 2.0  # s that a device which is heard is given to answer, however late it was
@@ -92,6 +94,7 @@ class _Watch:
     last_alive: float = -1e9
     counter: int = 0
     feed: bool = False
+    on: bool = False  # from when feeding began until it was seen to be off after that
     fed: float = 0.0  # when it was last fed, or feeding began
     longest: float = 0.0  # s between two ALIVEs since feeding began
     pause: float = 0.0  # s: the longest time in which `poll` did not get to feed it, since feeding began
@@ -164,6 +167,9 @@ class Client:
         """Stream frames of streams that were not configured from here, or no longer are."""
         self.longest_pause = 0.0
         """The longest time in s in which this program did not poll, since somebody set this to 0."""
+        self.pauses = 0
+        """How often it did not for longer than a moment."""
+        self._last_pause = (-math.inf, 0.0)  # when it ended, and how long it was, s
         self.beside: list[Client] = []
         """Of other links of the same bench."""
         self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
@@ -176,7 +182,6 @@ class Client:
         self._must_open = False  # the link must be opened again
         self._next_reopen = 0.0
         self._polled = self.now()  # when the last turn had read
-        self._paused = 0  # how often this program did not get to poll
         self._listened = self.now()  # since when a node may have turned out to be two
 
     # -- time ---------------------------------------------------------------------------------------------------
@@ -184,6 +189,11 @@ class Client:
     def now(self) -> float:
         """The link's clock in s: monotonic, virtual for a simulated drive in virtual time."""
         return self.link.clock()
+
+    @property
+    def behind(self) -> bool:
+        """Whether this program has not polled for a moment: it does not know yet what has come."""
+        return self.now() - self._polled > PAUSE
 
     def run_for(self, seconds: float) -> None:
         """Poll for `seconds` of the link's clock."""
@@ -194,14 +204,14 @@ class Client:
 
         After a pause of this program it goes on for a while: what is waited for may have come meanwhile.
         """
-        end, paused = self.now() + timeout, self._paused
+        end, pauses = self.now() + timeout, self.pauses
         while not condition():
             left = end - self.now()
-            if left <= 0.0 and self.now() - self._polled < PAUSE:
+            if left <= 0.0 and not self.behind:
                 return False
             (poll or self.poll)(min(POLL, max(left, 0.0)))
-            if paused != self._paused:
-                paused, end = self._paused, max(end, self.now() + min(timeout, GRACE))
+            if pauses != self.pauses:
+                pauses, end = self.pauses, max(end, self.now() + min(timeout, GRACE))
         return True
 
     # -- connection ---------------------------------------------------------------------------------------------
@@ -226,8 +236,8 @@ class Client:
             return self.hello is not before or pending.error is not None or bool(self.several)
 
         self.wait(lambda: answered() or bool(self.session.heard), began + patience - self.now())
-        heard = self.now() if self.session.heard else began
-        found = self.wait(answered, max(began + patience, heard + ANSWER) - self.now())
+        late = self.now() + ANSWER if self.session.heard else 0.0
+        found = self.wait(answered, max(began + patience, late) - self.now())
         self._pending = None
         if self.hello is not before:
             self.run_for(SECOND + 2 * self.session.round_trip)
@@ -243,14 +253,14 @@ class Client:
 
     def _nobody(self, seconds: float) -> str:
         """That nobody answered HELLO, what was heard instead, and what to look at."""
-        framing = self.session.counters.framing
+        framing, advice = self.session.counters.framing, unanswered(self.link, self.session, self.bytes_in)
         return (
             f"no HBP device answered on {self.link.name} within {seconds:g} s ({self.bytes_in} bytes heard, "
-            f"{framing.frames} good frames, {framing.bad} damaged): {unanswered(self.link, self.session, self.bytes_in)}"
+            f"{framing.frames} good frames, {framing.bad} damaged): {advice}"
         )
 
     def listen(self, node: int) -> None:
-        """Wait until it is known, as far as heartbeats can tell, whether `node` is one device. Raises SeveralDevices."""
+        """Wait until heartbeats have told whether `node` is one device, as far as they can. Raises SeveralDevices."""
         self.wait(lambda: node in self.several, self._listened + LISTEN - self.now())
         self.require_alone(node)
 
@@ -296,7 +306,9 @@ class Client:
             self._lost(error)
             return
         self._must_open = False
-        self.session.connect(self.nonce(), now, delay=self.session.wire.delay)  # the outage lasts until the drive answers
+        self.session.connect(
+            self.nonce(), now, delay=self.session.wire.delay
+        )  # the outage lasts until the drive answers
 
     @property
     def downtime(self) -> float:
@@ -363,6 +375,7 @@ class Client:
                 self.boots.setdefault(node, {})[heartbeat.boot_id] = now, heartbeat
                 self.heartbeats[node] = heartbeat
                 self.faults[node] = self.faults.get(node, Fault(0)) | heartbeat.faults
+                self._watches[node].on &= self._watches[node].feed or heartbeat.outputs_on
                 self._streams.get(node, _NO_STREAMS).heard(heartbeat)
                 self._heard_at(node, None, heartbeat.tick)
                 self.tell(event)
@@ -408,8 +421,10 @@ class Client:
         """That `node` did not answer, and whether it was heard meanwhile."""
         text = f"node {node} on {self.link.name} did not answer {kind.name} in {tries} tries"
         if node in self.boots or self._streams.get(node):
-            silent = now - self._watches[node].last_seen
+            silent, (ended, pause) = now - self._watches[node].last_seen, self._last_pause
             late = f"nothing came of it for {silent:.2f} s" if silent > FRESH else "it is heard, and did not hear this"
+            if now - ended < AFTER_PAUSE:
+                late = f"this host had been paused for {pause:.2f} s, and what waited meanwhile comes first"
             text = f"{text}: {late}"
         return "; ".join([text, *oddities(self.link)])
 
@@ -511,7 +526,7 @@ class Client:
             watch.longest = max(watch.longest, now - watch.fed)
             watch.silent = max(watch.silent, now - watch.last_seen)
             self._note_pause(now - self._polled)
-        watch.feed = on
+        watch.feed, watch.on = on, on or watch.on
         if on:
             watch.last_alive, watch.fed = -1e9, now
             watch.longest = watch.pause = watch.silent = watch.down = 0.0
@@ -538,13 +553,15 @@ class Client:
     def longest_unfed(self, node: int) -> float:
         """The longest time in s between two ALIVEs to `node` since feeding began, one that goes on included."""
         watch = self._watches.get(node, _Watch())
-        return max(watch.longest, self.now() - watch.fed if watch.feed else 0.0)
+        return max(watch.longest, watch.pause, self.now() - watch.fed if watch.feed else 0.0)
 
     def _note_pause(self, seconds: float) -> None:
         self.longest_pause = max(self.longest_pause, seconds)
-        self._paused += seconds > PAUSE
+        if seconds > PAUSE:
+            self.pauses += 1
+            self._last_pause = self.now(), seconds
         for watch in self._watches.values():
-            if watch.feed:
+            if watch.on:
                 watch.pause = max(watch.pause, seconds)
 
     def _feed_watchdogs(self, now: float) -> None:

@@ -264,7 +264,9 @@ class Node:
             why = "it sends no heartbeat (one every 100 ms is due), so nobody could see its outputs go off"
             raise NodeError(f"refusing to energise node {number} on {self.client.link.name}: {why}; nothing was armed")
         if self.client.heartbeats[number].boot_id != self.identity.boot_id:
-            raise NodeError(f"refusing to energise node {number}: it has rebooted since it was asked; nothing was armed")
+            raise NodeError(
+                f"refusing to energise node {number}: it has rebooted since it was asked; nothing was armed"
+            )
 
     def _says_now(self) -> str:
         """What its heartbeats say, in words; that none came, where that is so."""

@@ -155,9 +155,7 @@ def _by_itself(node: Node, troubles: list[str]) -> DriveState:
     often = "" if len(troubles) == 1 else f" ({len(troubles)} tries)"
     if _all_off(node, since):
         raise DriveFailed(f"{troubles[-1]}{often}; now {says(node.client.heartbeats.get(node.number))}")
-    raise OutputsMayBeOn(
-        f"{UNSAFE}. {troubles[-1]}{often}; {_name(node)} was not confirmed off"
-    )
+    raise OutputsMayBeOn(f"{UNSAFE}. {troubles[-1]}{often}; {_name(node)} was not confirmed off")
 
 
 def _back(client: Client) -> bool:
@@ -174,6 +172,7 @@ class Vigil:
         self._node = node
         self._began = self._came = node.client.now()
         self._newest = node.client.heartbeats.get(node.number)
+        self._pauses = node.client.pauses  # of this program: what came meanwhile is still to be looked at
         self._boot = node.identity.boot_id
         self._seen_running = False
         self._dark = 0  # heartbeats in a row that say RUNNING with outputs off: one may be the first of a fault
@@ -186,8 +185,8 @@ class Vigil:
         client = self._node.client
         now, heartbeat = client.now(), client.heartbeats.get(self._node.number)
         new = heartbeat is not self._newest
-        if new or client.health.down_since is not None:
-            self._newest, self._came = heartbeat, now
+        if new or client.health.down_since is not None or client.pauses != self._pauses or client.behind:
+            self._newest, self._came, self._pauses = heartbeat, now, client.pauses
         if now - self._came > QUIET:
             return f"no heartbeat for {now - self._came:.1f} s: its state is unknown"
         if heartbeat is None or heartbeat.boot_id != self._boot or heartbeat.state == DriveState.FAULT:
@@ -218,8 +217,8 @@ def why_unfed(node: Node, watchdog: float) -> str:
         return found
     longest = client.longest_unfed(number)
     return (
-        f"this host sent an ALIVE at least every {longest:.2f} s: the link lost them or carried them late, or the drive's "
-        f"watchdog is shorter than the {watchdog:g} s that it tells"
+        f"this host sent an ALIVE at least every {longest:.2f} s: the link lost them or carried them late, or the "
+        f"drive's watchdog is shorter than the {watchdog:g} s that it tells"
     )
 
 

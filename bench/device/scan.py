@@ -40,8 +40,8 @@ def scan(link: Link, seconds: float = 1.0) -> list[HelloReply]:
 def look_around(link: Link, seconds: float = 1.0) -> Found:
     """Return what the devices that answer within `seconds` say of themselves, in the order of their nodes.
 
-    On a CAN bus every device is asked at once, on a byte link each node that the first one names; there the first answer
-    is waited for as long as a device may take to boot. Raises LinkError.
+    On a CAN bus every device is asked at once, on a byte link each node that the first one names; there the first
+    answer is waited for as long as a device may take to boot. Raises LinkError.
     """
     wire = link.wire()
     session, hello = HostSession(wire), Hello(secrets.randbits(32))

@@ -136,7 +136,9 @@ class Rig:
         self.close()
         if self.unsafe and error is not None and self.plan.goes_on:
             unsafe = isinstance(error, OutputsMayBeOn)  # it is told once, with its cause if that is known
-            raise OutputsMayBeOn(str(error) if unsafe else f"{self.unsafe} ({error or type(error).__name__})") from error
+            raise OutputsMayBeOn(
+                str(error) if unsafe else f"{self.unsafe} ({error or type(error).__name__})"
+            ) from error
 
     # -- before anything moves ----------------------------------------------------------------------------------
 

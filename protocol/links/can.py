@@ -169,7 +169,9 @@ class CanLink:
         if isinstance(bus, SlcanBus):
             if health.malformed:
                 text = printable(bus.strange[:SHOWN].decode("latin1"))
-                told.append(f"the adapter sent text that is no slcan ({counted(health.malformed, 'line')}), such as '{text}'")
+                told.append(
+                    f"the adapter sent text that is no slcan ({counted(health.malformed, 'line')}), such as '{text}'"
+                )
             told += bus.oddities()
         return told
 

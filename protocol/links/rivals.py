@@ -34,7 +34,10 @@ def _has_open(process: Path, port: str, wanted: int) -> bool:
         for entry in (process / "fd").iterdir():
             with suppress(OSError):
                 place = os.readlink(entry)
-                if place.endswith("/ptmx") and f"tty-index:\t{index}\n" in (process / "fdinfo" / entry.name).read_text():
+                if (
+                    place.endswith("/ptmx")
+                    and f"tty-index:\t{index}\n" in (process / "fdinfo" / entry.name).read_text()
+                ):
                     return False
                 there |= place.startswith("/dev/") and os.stat(entry).st_rdev == wanted
     return there

@@ -1,4 +1,4 @@
-"""Where outputs may still be on that is said once, with what was seen and why there was a STOP, and nothing that belies it."""
+"""Where outputs may still be on that is said once, with what was seen, and why there was a STOP."""
 
 from __future__ import annotations
 
@@ -84,9 +84,7 @@ def test_who_falls_silent_when_it_is_armed_is_stopped_for_that(
 
 @pytest.mark.parametrize("carrier", ["bytes", "CAN"])
 @pytest.mark.parametrize("command", COMMANDS)
-def test_without_heartbeats_nothing_is_armed(
-    command: str, carrier: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_heartbeats_nothing_is_armed(command: str, carrier: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Also where they cease when it has been found to be at rest."""
     with serving("full", [], carrier) as device:
         beat = device.heartbeat

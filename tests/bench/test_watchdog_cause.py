@@ -1,4 +1,4 @@
-"""A watchdog that ran out, and why: this host paused, the link carried nothing, or only this way, or it waits too short.
+"""A watchdog that ran out, and why: a pause of this host, a link that carried nothing, or a watchdog that is too short.
 
 In virtual time, on the test device; the truth is what was done to its link.
 """
@@ -143,7 +143,9 @@ def test_a_watchdog_that_is_shorter_than_any_host_feeds_it_is_the_cause(watchdog
     with serving(replace(FULL, parameters=told), [], carrier) as device:
         ended = run(device.link, yes=True)
         assert not device.outputs_on
-    assert re.search(rf"WATCHDOG: this host sent no ALIVE for 0\.\d\d s, and its watchdog waits {watchdog} s only", ended.words)
+    assert re.search(
+        rf"WATCHDOG: this host sent no ALIVE for 0\.\d\d s, and its watchdog waits {watchdog} s only", ended.words
+    )
     untold = tuple(row for row in FULL.parameters if row.name != "watchdog")
     with serving(replace(FULL, parameters=untold), [], carrier, watchdog=watchdog) as device:
         ended = run(device.link, yes=True)

@@ -72,7 +72,8 @@ def twins(
 ) -> Iterator[list[Device]]:
     """Devices of these serial numbers that all are node 1 of one link, in virtual time.
 
-    They have not booted at once; from the second on they come `joins` s after the first. `device.link` is the link of all.
+    They have not booted at once; from the second on they come `joins` s after the first.
+    `device.link` is the link of all.
     """
     link = SharedLink({"bytes": False, "CAN": True}[carrier], interleaved)
     for k, serial in enumerate(serials):

@@ -37,7 +37,12 @@ def raw() -> Iterator[tuple[int, str]]:
     os.close(master)
 
 
-READER = "import os, sys, time; fd = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print('open', flush=True); time.sleep(60)"
+READER = """
+import os, sys, time
+fd = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+print("open", flush=True)
+time.sleep(60)
+"""
 
 
 @pytest.fixture
@@ -63,7 +68,9 @@ def test_it_is_said_where_nothing_is_heard(
     monkeypatch.setattr("protocol.links.serial.BOOT", 0.05)
     with closing(open_link(port.target)) as link, pytest.raises(NoReply) as failure:
         Client(link).connect()
-    assert f"(pid {reader.pid}) has {link.target.port} open, too, and may take what comes: close it" in str(failure.value)  # type: ignore[attr-defined]
+    assert f"(pid {reader.pid}) has {link.target.port} open, too, and may take what comes: close it" in str(
+        failure.value
+    )  # type: ignore[attr-defined]
 
 
 def test_nobody_is_named_where_nobody_is(port: PtyPort, monkeypatch: pytest.MonkeyPatch) -> None:
