@@ -23,6 +23,10 @@ class ExitCode(IntEnum):
     """The output pipe was closed."""
 
 
+UNSAFE = "OUTPUTS MAY STILL BE ON: cut the power"
+"""What `OutputsMayBeOn` begins with."""
+
+
 class BenchError(Exception):
     """Something that the user can mend. `str(error)` is the whole story, in one line."""
 
@@ -31,6 +35,10 @@ class BenchError(Exception):
 
 class NodeError(BenchError):
     """A device on the link would not do what it was told."""
+
+
+class SeveralDevices(NodeError):
+    """More than one device answers as one node: none of them is told anything but STOP."""
 
 
 class DoesNotFit(NodeError):
@@ -57,6 +65,12 @@ class RecordingError(BenchError):
     """The recording cannot be written."""
 
     exit_code = ExitCode.NOT_RECORDED
+
+
+class ViewerError(BenchError):
+    """The live view cannot be started."""
+
+    exit_code = ExitCode.NO_VIEWER
 
 
 class UnsafeError(BenchError):

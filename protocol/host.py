@@ -8,7 +8,7 @@ arrives damaged, late or unasked is counted and dropped. This module never sleep
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from protocol.errors import DeviceDefect, HbpError, LocalProtocolError
@@ -40,6 +40,9 @@ BASE_TIMEOUT = 0.1  # s, to which two round trips are added
 MAX_ROUND_TRIP = 1.0  # s, as far as timeouts go
 _ECHOED = ("nonce", "id", "offset", "stream")  # fields of requests that come back in their replies
 HELLO_INTERVALS = (0.1, 0.2, 0.4, 0.8, 1.0)  # s between HELLOs; the last one goes on
+AGAIN = 0.25  # s between HELLOs, at most, while something is heard: a device that has just booted is asked soon
+IN_TURN = 2.0  # s in which boot_ids that come in turn are those of several devices: a device boots no faster
+RETURNS = 3  # of them to a boot_id that was there before; a single one may be a frame that was late
 
 
 class Connected(NamedTuple):
@@ -111,6 +114,15 @@ class Rebooted(NamedTuple):
     new: int
 
 
+class SeveralDevices(NamedTuple):
+    """Several devices answer as one node: two answers to one HELLO, or their boot_ids in turn."""
+
+    node: int
+    boot_ids: frozenset[int]
+    reboots: int
+    """How often that was taken for a reboot before."""
+
+
 Event = (
     Connected
     | ReplyReceived
@@ -122,6 +134,7 @@ Event = (
     | LogReceived
     | StreamFrames
     | Rebooted
+    | SeveralDevices
 )
 
 
@@ -145,6 +158,7 @@ class _Pending:
     sent: float
     deadline: float
     tries: int = 1
+    answers: dict[int, HelloReply] = field(default_factory=dict)  # to a HELLO, by node: the first of each
 
 
 class HostSession:
@@ -157,8 +171,17 @@ class HostSession:
         self.wire: HostWire = ByteWire() if wire is None else wire
         self.counters = HostCounters(self.wire.counters)
         self.hellos: dict[int, HelloReply] = {}  # newest reply by node
+        self.devices: dict[int, list[HelloReply]] = {}
+        """By node, what each boot of each device that answered has said, the newest last."""
+        self.heard: set[int] = set()
+        """Nodes of which something has come that only a device sends."""
+        self.echoes = 0
+        """Requests that came back: those of this host, or another one's."""
         self.round_trip = 0.0  # s, smoothed
         self._boot_ids: dict[int, int] = {}
+        self._changes: dict[int, list[tuple[float, int]]] = {}  # by node, when which boot_id was followed by another
+        self._several: dict[int, frozenset[int]] = {}
+        self._hello: _Pending | None = None  # the last one, answered or not
         self._references: dict[int, TickReference] = {}
         self._events: deque[Event] = deque()
         self._out: list[bytes] = []
@@ -174,15 +197,19 @@ class HostSession:
         """Return the node's tick reference, kept fresh by its heartbeats and TIME_SYNC replies."""
         return self._references.setdefault(node, TickReference())
 
-    def connect(self, nonce: int, now: float, node: int = 0) -> int:
-        """Say HELLO until it is answered; return the tid. What was outstanding is abandoned.
+    def connect(self, nonce: int, now: float, node: int = 0, delay: float = 0.0) -> int:
+        """Say HELLO until it is answered, for the first time after `delay` s; return the tid.
 
-        `nonce` must be new and unguessed by older traffic; `now` in s, of any monotonic clock.
+        What was outstanding is abandoned. `nonce` must be new and unguessed by older traffic; `now` in s, of any
+        monotonic clock.
         """
         self._pending = None
         self._tid = nonce & 0xFFFF if self.wire.shared else self._tid
-        self._out.append(self.wire.preamble())
-        return self._transmit(Hello(nonce), node, now, connecting=True)
+        return self._transmit(Hello(nonce), node, now, connecting=True, delay=delay)
+
+    def look_for(self, hello: Hello, tid: int) -> None:
+        """Note in `devices` who answers this HELLO, which the caller sends, as often as it likes, to whomever."""
+        self._hello = _Pending(hello, Frame(hello.TYPE, MAJOR, tid, 0, b""), True, 0.0, 0.0, tries=TRIES)
 
     def request(self, message: Request, node: int, now: float) -> int:
         """Send a request and return its tid; node 0 is the device at the other end.
@@ -226,8 +253,10 @@ class HostSession:
             kind = pending.message.TYPE
             self._events.append(RequestTimedOut(pending.frame.tid, pending.frame.node, kind, pending.tries))
             return
+        if pending.connecting and not pending.tries:
+            self._out.append(self.wire.preamble())
         self._out.append(self.wire.encode(pending.frame))
-        self.counters.retries += 1
+        self.counters.retries += pending.tries > 0
         pending.sent = now
         pending.tries += 1
         pending.deadline = now + self._timeout(pending.connecting, pending.tries)
@@ -236,6 +265,7 @@ class HostSession:
         """Take bytes from the link, cut anywhere."""
         for item in self.wire.feed(data, now):
             if isinstance(item, StreamFrames):
+                self._hear(item.node, now)
                 self._events.append(item)
             else:
                 self._receive(parse_frame(item), now)
@@ -251,22 +281,32 @@ class HostSession:
         elif frame.is_error and not frame.is_reply:
             counters.malformed += 1
         elif frame.is_reply:
+            self._hear(frame.node, now)
             self._receive_reply(frame, now)
         elif frame.type in UNSOLICITED:
+            self._hear(frame.node, now)
             try:
                 message = UNSOLICITED[frame.type].unpack(frame.payload)
             except PayloadError:
                 counters.malformed += 1
             else:
-                self._receive_unsolicited(frame.node, message)
+                self._receive_unsolicited(frame.node, message, now)
         elif frame.type in (MessageType.DATA, MessageType.EDGES):
             counters.malformed += 1
         else:
+            self.echoes += frame.type in REPLIES
             counters.unknown_types += 1
 
-    def _receive_unsolicited(self, node: int, message: Message) -> None:
+    def _hear(self, node: int, now: float) -> None:
+        """Something of a device has come: if HELLO waits for its answer, ask again soon."""
+        self.heard.add(node)
+        pending = self._pending
+        if pending is not None and pending.connecting and pending.tries:
+            pending.deadline = min(pending.deadline, max(now, pending.sent + AGAIN))
+
+    def _receive_unsolicited(self, node: int, message: Message, now: float) -> None:
         if isinstance(message, Heartbeat):
-            self._note_boot(node, message.boot_id)
+            self._note_boot(node, message.boot_id, now)
             self.tick_reference(node).tick = message.tick
             self._events.append(HeartbeatReceived(node, message))
         elif isinstance(message, DeviceEvent):
@@ -276,6 +316,8 @@ class HostSession:
 
     def _receive_reply(self, frame: Frame, now: float) -> None:
         pending = self._pending
+        if frame.type == MessageType.HELLO and not frame.is_error:
+            self._note_hello(frame, now)
         if pending is None or frame.tid != pending.frame.tid or frame.type != pending.message.TYPE:
             self.counters.unexpected_replies += 1
             return
@@ -307,7 +349,6 @@ class HostSession:
             smoothed = 0.75 * self.round_trip + 0.25 * round_trip if self.round_trip else round_trip
             self.round_trip = min(smoothed, MAX_ROUND_TRIP)
         if isinstance(message, HelloReply):
-            self._note_boot(frame.node, message.boot_id)
             self.hellos[frame.node] = message
         elif isinstance(message, TimeSyncReply):
             self.tick_reference(frame.node).tick = message.tx_tick
@@ -321,20 +362,54 @@ class HostSession:
         self._pending = None
         self._events.append(ReplyUnusable(frame.tid, frame.node, error))
 
-    def _note_boot(self, node: int, boot_id: int) -> None:
-        old = self._boot_ids.setdefault(node, boot_id)
-        if old != boot_id:
-            self._boot_ids[node] = boot_id
-            self.wire.forget(node)
-            self._events.append(Rebooted(node, old, boot_id))
+    def _note_hello(self, frame: Frame, now: float) -> None:
+        """A HELLO reply, asked for or the second one: who is there, and whether that is one device."""
+        asked = self._hello
+        try:
+            reply = HelloReply.unpack(frame.payload)
+        except PayloadError:
+            return
+        if asked is None or reply.nonce != getattr(asked.message, "nonce", None) or reply.node != frame.node:
+            return
+        said = self.devices.setdefault(frame.node, [])
+        before = [each for each in said if (each.boot_id, each.serial) == (reply.boot_id, reply.serial)]
+        self.devices[frame.node] = [*(each for each in said if each not in before), reply]
+        first = asked.answers.setdefault(frame.node, reply)
+        if asked.tries == 1 and (first.boot_id, first.serial) != (reply.boot_id, reply.serial):
+            self._tell_several(frame.node, {first.boot_id, reply.boot_id}, 0)
+        elif any(each.boot_id == reply.boot_id and each.serial != reply.serial for each in said):
+            self._tell_several(frame.node, {reply.boot_id}, 0)  # nobody changes that
+        self._note_boot(frame.node, reply.boot_id, now)
 
-    def _transmit(self, message: Request, node: int, now: float, connecting: bool) -> int:
+    def _note_boot(self, node: int, boot_id: int, now: float) -> None:
+        old = self._boot_ids.setdefault(node, boot_id)
+        if old == boot_id or node in self._several:
+            return
+        self._boot_ids[node] = boot_id
+        changes = [each for each in self._changes.get(node, ()) if now - each[0] < IN_TURN] + [(now, old)]
+        self._changes[node] = changes
+        followed = [each for _, each in changes]
+        returns = sum(each in followed[:k] for k, each in enumerate([*followed[1:], boot_id], 1))
+        if returns >= RETURNS:
+            self._tell_several(node, {*followed, boot_id}, len(changes) - 1)
+            return
+        self.wire.forget(node)
+        self._events.append(Rebooted(node, old, boot_id))
+
+    def _tell_several(self, node: int, boot_ids: set[int], reboots: int) -> None:
+        known = self._several.get(node, frozenset())
+        if not boot_ids <= known:
+            self._several[node] = known | boot_ids
+            self._events.append(SeveralDevices(node, self._several[node], reboots))
+
+    def _transmit(self, message: Request, node: int, now: float, connecting: bool, delay: float = 0.0) -> int:
         tid = self._tid % 0xFFFF + 1
         frame = Frame(message.TYPE, MAJOR, tid, node, message.pack())
         self._tid = tid
-        self._out.append(self.wire.encode(frame))
-        deadline = now + self._timeout(connecting, 1)
-        self._pending = _Pending(message, frame, connecting, now, deadline)
+        pending = self._pending = _Pending(message, frame, connecting, now, now + delay, tries=0)
+        if message.TYPE == MessageType.HELLO:
+            self._hello = pending
+        self.tick(now)
         return tid
 
     def _timeout(self, connecting: bool, tries: int) -> float:

@@ -59,6 +59,10 @@ class HostWire(Protocol):
     """A link's language, at the host's end. `shared`: other hosts may use the link at the same time."""
 
     shared: bool
+    patience: float
+    """s that a device may take to answer HELLO after the link was opened."""
+    delay: float
+    """s after that in which nothing is sent to it."""
 
     @property
     def counters(self) -> ReceiverCounters:
@@ -83,16 +87,28 @@ class HostWire(Protocol):
         """The node has rebooted: what was said of its streams is no longer so."""
 
     def advice(self, heard: bool) -> str:
-        """Return what to look at when nothing answers; `heard`: something came all the same."""
+        """Return what to look at when no device is heard; `heard`: something else came."""
+
+    def unanswered(self, nodes: Sequence[int]) -> str:
+        """Return what to look at when these nodes are heard and HELLO is not answered."""
+
+
+PATIENCE = 3.0  # s that a device may take to answer HELLO
 
 
 class ByteWire:
-    """COBS frames: serial ports, TCP. `baud`: rate of a UART, bit/s; inf for what is no UART."""
+    """COBS frames: serial ports, TCP.
+
+    Args:
+        baud: rate of a UART, bit/s; inf for what is no UART.
+        patience, delay: see `HostWire`.
+    """
 
     shared = False
 
-    def __init__(self, baud: float = math.inf) -> None:
+    def __init__(self, baud: float = math.inf, patience: float = PATIENCE, delay: float = 0.0) -> None:
         self.baud = baud
+        self.patience, self.delay = patience, delay
         self._deframer = Deframer()
         self.counters = self._deframer.counters
 
@@ -133,6 +149,10 @@ class ByteWire:
         if heard:
             return "check the baud rate, and that it is an HBP device"
         return "check power, cable, target and baud rate"
+
+    def unanswered(self, nodes: Sequence[int]) -> str:
+        """See `HostWire.unanswered`."""
+        return "an HBP device is heard, and does not hear this program: check the TX wire and flow control"
 
 
 def _batches(groups: dict[tuple[int, int, int], list[bytes]]) -> list[StreamFrames]:

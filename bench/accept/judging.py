@@ -12,7 +12,7 @@ import pytest
 
 from bench.accept.measuring import NotPassed
 from bench.accept.results import Verdict, worst
-from bench.errors import BenchError, DriveFailed
+from bench.errors import UNSAFE, BenchError, DriveFailed
 from bench.rig.drive import DriveTripped
 from protocol.errors import HbpError
 
@@ -31,7 +31,8 @@ class Phase:
     def then(self, later: Phase, seconds: float) -> Phase:
         """How it stands after a later phase, which took `seconds`: the worse of both, with the reasons of both."""
         verdict = worst((self.verdict, later.verdict))
-        why = "; then ".join(phase.why.partition("\n")[0] for phase in (self, later) if phase.why)
+        phases = (later,) if UNSAFE in self.why and UNSAFE in later.why else (self, later)  # which is told once
+        why = "; then ".join(phase.why.partition("\n")[0] for phase in phases if phase.why)
         log = "\n\n".join(phase.log for phase in (self, later) if phase.log)
         return Phase(verdict, why, log, self.seconds + seconds)
 

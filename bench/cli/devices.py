@@ -39,9 +39,9 @@ def command(target: str | None, json_file: Path | None, overwrite: bool) -> None
             "tcp:HOST:PORT connects to a drive on the network"
         )
     else:
-        rows, advice = _nodes(target)
+        rows, several, advice = _nodes(target)
         headers, keys = ["node", "role", "name", "firmware", "serial", "build", "state", "boot"], list(_NODE)
-        nothing = f"no HBP device answered on {target}: {advice}"
+        nothing = "; ".join(several) or f"no HBP device answered on {target}: {advice}"
     if json_file is not None:
         write_json(json_file, rows)
     elif not rows and target is None:
@@ -53,6 +53,8 @@ def command(target: str | None, json_file: Path | None, overwrite: bool) -> None
         table(headers, [[shown(row[key]) for key in keys] for row in rows])
     if not rows and target is not None:
         raise click.ClickException(nothing)
+    if target is not None and several:
+        raise click.ClickException("; ".join(several))
 
 
 _PORT = ("target", "description", "usb_id", "serial_number")
@@ -93,14 +95,15 @@ def _can_interfaces() -> list[dict[str, Any]]:
     ]
 
 
-def _nodes(target: str) -> tuple[list[dict[str, Any]], str]:
-    """The nodes that answer, and what to look at if there are none."""
+def _nodes(target: str) -> tuple[list[dict[str, Any]], list[str], str]:
+    """The nodes that answer, words for those that are several devices, and what to look at if nobody answers."""
     from bench.device.description import describe
-    from bench.device.scan import scan
+    from bench.device.scan import look_around
     from protocol.links import open_link
 
     link = open_link(target)
     try:
-        return [describe(reply) | {"state": reply.state.name} for reply in scan(link)], link.wire().advice(heard=False)
+        found = look_around(link)
     finally:
         link.close()
+    return [describe(reply) | {"state": reply.state.name} for reply in found.replies], found.several, found.advice

@@ -45,7 +45,7 @@ def command(target: str, json_file: Path | None, overwrite: bool) -> None:
         if found["bus"] is not None:
             _show_bus(target, found["bus"])
     if found["unread"]:
-        raise NodeError("; ".join(found["unread"].values()))
+        raise NodeError("; ".join(dict.fromkeys(found["unread"].values())))
 
 
 def _show(target: str, node: dict[str, Any]) -> None:

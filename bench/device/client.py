@@ -11,6 +11,7 @@ drive's watchdog switch the outputs off.
 from __future__ import annotations
 
 import gc
+import math
 import secrets
 import time
 from collections.abc import Callable, Iterable
@@ -20,7 +21,8 @@ from typing import TypeVar
 
 from bench.device.heard import Chunk, ClockRestarted, Heard, Missing, Note, Sink
 from bench.device.losses import Continuity
-from protocol.errors import LinkClosed, LinkError, NoReply, Refused
+from bench.errors import SeveralDevices
+from protocol.errors import HbpError, LinkClosed, LinkError, NoReply, Refused
 from protocol.host import (
     Connected,
     DeviceEventReceived,
@@ -33,17 +35,22 @@ from protocol.host import (
     RequestRefused,
     RequestTimedOut,
 )
+from protocol.host import SeveralDevices as SeveralAnswer
 from protocol.links.base import Link
 from protocol.messages import (
     Alive,
+    Command,
     DeviceEvent,
+    ErrorCode,
     EventCode,
     Fault,
     Heartbeat,
+    Hello,
     HelloReply,
     MessageType,
     Payload,
     Request,
+    StateCommand,
     StreamEvent,
 )
 from protocol.streams import Beat, LossCounters, StreamConfig
@@ -59,6 +66,13 @@ POLL = 0.02  # s: how long one turn waits for bytes
 SETTLE = 0.02  # s: how long a turn goes on collecting once bytes come
 REOPEN_PERIOD = 0.1  # s between attempts to open a link that went away
 QUIET = 1.0  # s without a stream frame after which none is under way; a CAN device gives them up after 0.5 s
+PAUSE = 0.1  # s without a turn from which on this program was paused
+AFTER_PAUSE = 2.0  # s in which what has waited in the link meanwhile may still be under way
+GRACE = 0.5  # s for which a wait goes on after a pause of this program: what came meanwhile is looked at first
+LISTEN = 0.4  # s that it takes to see by heartbeats that two devices are one node: A, B, A, B, A
+ANSWER = 2.0  # s that a device which is heard is given to answer, however late it was
+TRIES = 3  # HELLOs to devices of one number, whose answers may have met on the way
+SECOND = 0.03  # s, and two round trips, that a second device may answer HELLO later than the first
 FLUSH = 10.0  # s that a device is given to send what waited at STREAM_STOP: 64 KiB at 115200 baud, and some
 
 
@@ -80,8 +94,12 @@ class _Watch:
     last_alive: float = -1e9
     counter: int = 0
     feed: bool = False
+    on: bool = False  # from when feeding began until it was seen to be off after that
+    fed: float = 0.0  # when it was last fed, or feeding began
     longest: float = 0.0  # s between two ALIVEs since feeding began
     pause: float = 0.0  # s: the longest time in which `poll` did not get to feed it, since feeding began
+    silent: float = 0.0  # s: the longest time in which nothing came of it
+    down: float = 0.0  # s: the longest time in which its link was gone
 
 
 @dataclass(slots=True)
@@ -136,6 +154,10 @@ class Client:
         self.health = LinkHealth()
         self.hello: HelloReply | None = None
         self.heartbeats: dict[int, Heartbeat] = {}
+        self.boots: dict[int, dict[int, tuple[float, Heartbeat]]] = {}
+        """By node and boot_id, the newest heartbeat, and when it came."""
+        self.several: dict[int, frozenset[int]] = {}
+        """Nodes as which several devices answer, with the boot_ids of these."""
         self.rejections: dict[int, DeviceEvent] = {}
         """By node, the last event that told why a setpoint was rejected."""
         self.faults: dict[int, Fault] = {}
@@ -145,6 +167,9 @@ class Client:
         """Stream frames of streams that were not configured from here, or no longer are."""
         self.longest_pause = 0.0
         """The longest time in s in which this program did not poll, since somebody set this to 0."""
+        self.pauses = 0
+        """How often it did not for longer than a moment."""
+        self._last_pause = (-math.inf, 0.0)  # when it ended, and how long it was, s
         self.beside: list[Client] = []
         """Of other links of the same bench."""
         self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
@@ -157,6 +182,7 @@ class Client:
         self._must_open = False  # the link must be opened again
         self._next_reopen = 0.0
         self._polled = self.now()  # when the last turn had read
+        self._listened = self.now()  # since when a node may have turned out to be two
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -164,18 +190,28 @@ class Client:
         """The link's clock in s: monotonic, virtual for a simulated drive in virtual time."""
         return self.link.clock()
 
+    @property
+    def behind(self) -> bool:
+        """Whether this program has not polled for a moment: it does not know yet what has come."""
+        return self.now() - self._polled > PAUSE
+
     def run_for(self, seconds: float) -> None:
         """Poll for `seconds` of the link's clock."""
         self.wait(lambda: False, seconds)
 
     def wait(self, condition: Callable[[], bool], timeout: float, poll: Callable[[float], None] | None = None) -> bool:
-        """Poll, by `poll` if there is one, until `condition()` holds; False when it does not within `timeout` s."""
-        end = self.now() + timeout
+        """Poll, by `poll` if there is one, until `condition()` holds; False when it does not within `timeout` s.
+
+        After a pause of this program it goes on for a while: what is waited for may have come meanwhile.
+        """
+        end, pauses = self.now() + timeout, self.pauses
         while not condition():
             left = end - self.now()
-            if left <= 0:
+            if left <= 0.0 and not self.behind:
                 return False
-            (poll or self.poll)(min(POLL, left))
+            (poll or self.poll)(min(POLL, max(left, 0.0)))
+            if pauses != self.pauses:
+                pauses, end = self.pauses, max(end, self.now() + min(timeout, GRACE))
         return True
 
     # -- connection ---------------------------------------------------------------------------------------------
@@ -185,29 +221,64 @@ class Client:
         """A number for a HELLO that no earlier traffic can have guessed."""
         return secrets.randbits(32)
 
-    def connect(self, timeout: float = 3.0) -> HelloReply:
+    def connect(self, timeout: float | None = None) -> HelloReply:
         """Find the device at the other end. Raises NoReply when nothing that speaks HBP answers within `timeout` s.
 
-        DeviceDefect, VersionError and Refused are those of an answer that a host cannot work with.
+        By default that is how long what the link leads to may take to boot. DeviceDefect, VersionError and Refused are
+        those of an answer that a host cannot work with; SeveralDevices: more than one device answered.
         """
-        before = self.hello
-        pending = self._pending = _Pending(self.session.connect(self.nonce(), self.now()))
-        found = self.wait(lambda: self.hello is not before or pending.error is not None, timeout)
+        wire, before = self.session.wire, self.hello
+        patience = wire.patience if timeout is None else timeout
+        began = self._listened = self.now() + wire.delay
+        pending = self._pending = _Pending(self.session.connect(self.nonce(), self.now(), delay=wire.delay))
+
+        def answered() -> bool:
+            return self.hello is not before or pending.error is not None or bool(self.several)
+
+        self.wait(lambda: answered() or bool(self.session.heard), began + patience - self.now())
+        late = self.now() + ANSWER if self.session.heard else 0.0
+        found = self.wait(answered, max(began + patience, late) - self.now())
         self._pending = None
+        if self.hello is not before:
+            self.run_for(SECOND + 2 * self.session.round_trip)
+        for node in self.several:
+            self.require_alone(node)
         if pending.error is not None:
             raise pending.error
         if not found:
-            framing = self.session.counters.framing
-            advice = self.session.wire.advice(bool(self.bytes_in))
-            refused = getattr(getattr(self.link, "health", None), "refused", 0)  # by an adapter
-            if refused:
-                advice = f"the adapter refused {refused} commands or frames; {advice}"
-            raise NoReply(
-                f"no HBP device answered on {self.link.name} within {timeout:g} s ({self.bytes_in} bytes heard, "
-                f"{framing.frames} good frames, {framing.bad} damaged): {advice}"
-            )
+            self.session.cancel()
+            raise NoReply(self._nobody(patience))
         assert self.hello is not None
         return self.hello
+
+    def _nobody(self, seconds: float) -> str:
+        """That nobody answered HELLO, what was heard instead, and what to look at."""
+        framing, advice = self.session.counters.framing, unanswered(self.link, self.session, self.bytes_in)
+        return (
+            f"no HBP device answered on {self.link.name} within {seconds:g} s ({self.bytes_in} bytes heard, "
+            f"{framing.frames} good frames, {framing.bad} damaged): {advice}"
+        )
+
+    def listen(self, node: int) -> None:
+        """Wait until heartbeats have told whether `node` is one device, as far as they can. Raises SeveralDevices."""
+        self.wait(lambda: node in self.several, self._listened + LISTEN - self.now())
+        self.require_alone(node)
+
+    def require_alone(self, node: int) -> None:
+        """Raise SeveralDevices, which names them, if more than one device has been heard as `node`."""
+        if node not in self.several:
+            return
+        for _ in range(TRIES):
+            if self.several[node] <= {reply.boot_id for reply in self._answered(node)}:
+                break
+            with suppress(HbpError):  # who they are
+                self.request(Hello(self.nonce()), node, HelloReply)
+                self.run_for(SECOND + 2 * self.session.round_trip)
+        raise SeveralDevices(several_devices(node, self.link.name, self._answered(node), self.several[node]))
+
+    def _answered(self, node: int) -> list[HelloReply]:
+        """What the devices have said of themselves that answer as `node`."""
+        return [reply for reply in self.session.devices.get(node, ()) if reply.boot_id in self.several[node]]
 
     def _lost(self, error: LinkError) -> None:
         now = self.now()
@@ -235,7 +306,9 @@ class Client:
             self._lost(error)
             return
         self._must_open = False
-        self.session.connect(self.nonce(), now)  # the outage lasts until the drive answers
+        self.session.connect(
+            self.nonce(), now, delay=self.session.wire.delay
+        )  # the outage lasts until the drive answers
 
     @property
     def downtime(self) -> float:
@@ -299,8 +372,10 @@ class Client:
                     self._deliver(decoder.decode(frames))
             case HeartbeatReceived(node=node, heartbeat=heartbeat):
                 self._seen(node, now)
+                self.boots.setdefault(node, {})[heartbeat.boot_id] = now, heartbeat
                 self.heartbeats[node] = heartbeat
                 self.faults[node] = self.faults.get(node, Fault(0)) | heartbeat.faults
+                self._watches[node].on &= self._watches[node].feed or heartbeat.outputs_on
                 self._streams.get(node, _NO_STREAMS).heard(heartbeat)
                 self._heard_at(node, None, heartbeat.tick)
                 self.tell(event)
@@ -319,23 +394,39 @@ class Client:
             case ReplyUnusable(tid=tid, error=error):
                 self._settle(tid, error=error)
             case RequestTimedOut(tid=tid, node=node, type=kind, tries=tries):
-                text = f"node {node} on {self.link.name} did not answer {kind.name} in {tries} tries"
-                self._settle(tid, error=NoReply(text))
+                self._settle(tid, error=NoReply(self._no_answer(node, kind, tries, now)))
             case Connected(hello=hello):
                 self.hello = hello
                 if self.health.down_since is not None:
-                    self.health.downtime += now - self.health.down_since
+                    down = now - self.health.down_since
+                    self.health.downtime += down
+                    for watch in self._watches.values():
+                        watch.down = max(watch.down, down)
                     self.health.down_since = None
                     self.note("the drive is back", "WARN")
+            case SeveralAnswer(node=node, boot_ids=boot_ids, reboots=reboots):
+                self.several[node] = boot_ids
+                self.health.reboots -= reboots
             case Rebooted(node=node):
                 self.health.reboots += 1
-                self.note(f"node {node} has rebooted", "WARN")
+                self._listened = now
                 self._end(node, self.heartbeats.pop(node, None))  # the last one of the boot before
                 self._continuity.restarted(node)
                 self.tell(ClockRestarted(node, self.newest(node)))
                 self._clocks.pop(node, None)
                 if self.on_reboot:
                     self.on_reboot(node)
+
+    def _no_answer(self, node: int, kind: MessageType, tries: int, now: float) -> str:
+        """That `node` did not answer, and whether it was heard meanwhile."""
+        text = f"node {node} on {self.link.name} did not answer {kind.name} in {tries} tries"
+        if node in self.boots or self._streams.get(node):
+            silent, (ended, pause) = now - self._watches[node].last_seen, self._last_pause
+            late = f"nothing came of it for {silent:.2f} s" if silent > FRESH else "it is heard, and did not hear this"
+            if now - ended < AFTER_PAUSE:
+                late = f"this host had been paused for {pause:.2f} s, and what waited meanwhile comes first"
+            text = f"{text}: {late}"
+        return "; ".join([text, *oddities(self.link)])
 
     def _deliver(self, chunk: Chunk | None) -> None:
         if chunk is not None and len(chunk):
@@ -351,7 +442,10 @@ class Client:
         clock[stream] = tick
 
     def _seen(self, node: int, now: float) -> None:
-        self._watches.setdefault(node, _Watch()).last_seen = now
+        watch = self._watches.setdefault(node, _Watch())
+        if watch.feed:
+            watch.silent = max(watch.silent, now - watch.last_seen)
+        watch.last_seen = now
 
     def tell(self, item: Heard) -> None:
         """Give an item to every sink."""
@@ -427,40 +521,54 @@ class Client:
 
     def feed(self, node: int, on: bool) -> None:
         """Start or stop feeding the watchdog of `node`."""
-        watch = self._watches.setdefault(node, _Watch())
-        if watch.feed and not on and watch.last_alive > -1e8:
-            watch.longest = max(watch.longest, self.now() - watch.last_alive)
-            self._note_pause(self.now() - self._polled)
-        watch.feed = on
+        watch, now = self._watches.setdefault(node, _Watch()), self.now()
+        if watch.feed and not on:
+            watch.longest = max(watch.longest, now - watch.fed)
+            watch.silent = max(watch.silent, now - watch.last_seen)
+            self._note_pause(now - self._polled)
+        watch.feed, watch.on = on, on or watch.on
         if on:
-            watch.last_alive, watch.longest, watch.pause = -1e9, 0.0, 0.0
-            watch.last_seen = max(watch.last_seen, self.now())
+            watch.last_alive, watch.fed = -1e9, now
+            watch.longest = watch.pause = watch.silent = watch.down = 0.0
+            watch.last_seen = max(watch.last_seen, now)
             gc.freeze()  # to go through all that is there takes 0.1 to 0.3 s, and a watchdog waits for 0.2 s
         elif not any(each.feed for each in self._watches.values()):
             gc.unfreeze()
 
     def starved(self, node: int, watchdog: float = WATCHDOG) -> str:
         """Why the watchdog of `node`, which waits `watchdog` s, may have run out, if the reason is here; else ''."""
+        watch, longest = self._watches.get(node, _Watch()), self.longest_unfed(node)
+        silent = max(watch.silent, self.now() - watch.last_seen if watch.feed else 0.0)
+        words = f"this host sent no ALIVE for {longest:.2f} s"
+        if longest < watchdog:
+            return f"nothing came of it for {silent:.2f} s: the link carried nothing" if silent >= watchdog else ""
+        if watch.pause > longest / 2:
+            return f"{words} (it was starved of CPU or stopped, or the link is slow)"
+        if watch.down > longest / 2:
+            return f"{words}, because {self.link.name} was gone for {watch.down:.2f} s"
+        if silent > FRESH:
+            return f"{words}, because the drive was silent for {silent:.2f} s: the link carried nothing"
+        return f"{words}, and its watchdog waits {watchdog:g} s only"
+
+    def longest_unfed(self, node: int) -> float:
+        """The longest time in s between two ALIVEs to `node` since feeding began, one that goes on included."""
         watch = self._watches.get(node, _Watch())
-        if watch.longest < watchdog:
-            return ""
-        if watch.pause > watch.longest / 2:
-            why = "it was starved of CPU or stopped, or the link is slow"
-            return f"this host sent no ALIVE for {watch.longest:.2f} s ({why})"
-        return f"this host sent no ALIVE for {watch.longest:.2f} s, because the drive was silent"
+        return max(watch.longest, watch.pause, self.now() - watch.fed if watch.feed else 0.0)
 
     def _note_pause(self, seconds: float) -> None:
         self.longest_pause = max(self.longest_pause, seconds)
+        if seconds > PAUSE:
+            self.pauses += 1
+            self._last_pause = self.now(), seconds
         for watch in self._watches.values():
-            if watch.feed:
+            if watch.on:
                 watch.pause = max(watch.pause, seconds)
 
     def _feed_watchdogs(self, now: float) -> None:
         for node, watch in self._watches.items():
             if watch.feed and now - watch.last_alive >= ALIVE_PERIOD and now - watch.last_seen <= FRESH:
-                if watch.last_alive > -1e8:
-                    watch.longest = max(watch.longest, now - watch.last_alive)
-                watch.last_alive = now
+                watch.longest = max(watch.longest, now - watch.fed)
+                watch.last_alive = watch.fed = now
                 watch.counter += 1
                 self.session.send(Alive(counter=watch.counter & 0xFFFFFFFF), node)
 
@@ -476,6 +584,14 @@ class Client:
                 self.poll(POLL)
                 if pending.error is not None:
                     raise pending.error
+        except (NoReply, Refused) as error:
+            self._pending = None
+            stop = isinstance(message, StateCommand) and message.command == Command.STOP
+            if not stop and not isinstance(message, Hello):  # another device may have answered, or the two at once
+                if isinstance(error, Refused) and error.code in _OF_ANOTHER:
+                    self.listen(node)
+                self.require_alone(node)
+            raise
         finally:
             self._pending = None
             self.session.cancel()  # an interrupted request must not block STOP
@@ -488,7 +604,36 @@ class Client:
 
 
 _NO_STREAMS = _Streams()
+_OF_ANOTHER = (ErrorCode.BAD_TOKEN, ErrorCode.WRONG_STATE, ErrorCode.BUSY)  # what another device of that number says
 _LOG_LEVELS = {3: "ERROR", 4: "WARN", 6: "INFO", 7: "DEBUG"}
+
+
+def oddities(link: Link) -> list[str]:
+    """What a link knows of itself that may be why nothing comes; links in virtual time know nothing."""
+    told: Callable[[], list[str]] | None = getattr(link, "oddities", None)
+    return [] if told is None else told()
+
+
+def unanswered(link: Link, session: HostSession, heard: int) -> str:
+    """What to look at where nobody has answered HELLO; `heard`: bytes that came all the same."""
+    if nodes := sorted(session.heard):
+        advice = session.wire.unanswered(nodes)
+    elif session.echoes:
+        advice = "only what this program sends is heard: TX and RX are joined, or the other end echoes"
+    else:
+        advice = session.wire.advice(bool(heard))
+    return "; ".join([*oddities(link), advice])
+
+
+def several_devices(node: int, link: str, replies: Iterable[HelloReply], boot_ids: Iterable[int] = ()) -> str:
+    """That several devices answer as `node`, named by what they have answered; by boot_id where they have no serial."""
+    kind, names = "serial", {reply.serial for reply in replies}
+    if len(names) < 2 or "" in names:
+        kind, names = "boot", {f"{reply.boot_id:08x}" for reply in replies} | {f"{each:08x}" for each in boot_ids}
+    *others, last = sorted(names)
+    count = {2: "two"}.get(len(names), str(len(names)))
+    who = f"{kind} {', '.join(others)} and {last}"
+    return f"{count} devices answer as node {node} on {link} ({who}): give one another number"
 
 
 def _beat(heartbeat: Heartbeat) -> Beat:

@@ -232,7 +232,7 @@ def target_dbc(target: str) -> str:
         raise TargetError(f"{target} is not a CAN bus, and a DBC file describes CAN frames: use can:socketcan/can0")
     link = open_link(named)
     try:
-        nodes = [reply.node for reply in scan(link)]
+        nodes = sorted({reply.node for reply in scan(link)})
         client = Client(link)
         if not nodes:
             client.connect()  # says what to look at when nobody is there

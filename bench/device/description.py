@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -15,11 +17,14 @@ from bench.files import finite
 from protocol.canmap.host import CanWire
 from protocol.canmap.plan import BusPlan
 from protocol.codes import fault_names
+from protocol.descriptor import Channel
 from protocol.errors import NoReply, Refused, RemoteProtocolError
 from protocol.links import open_link
+from protocol.links.target import MAX_NODE
 from protocol.messages import Feature, Heartbeat, HelloReply, Role
 from protocol.signals import Flag
 
+FEW = 4  # nodes that are asked one by one; of more it is looked first which are there
 SCAN_SECONDS = 0.6  # for which further nodes on a bus are waited for
 BUS_SECONDS = 1.0  # for which a bus is watched
 
@@ -34,11 +39,16 @@ def inspect_link(target: str) -> dict[str, Any]:
     try:
         client = Client(link)
         shared = client.session.wire.shared
-        on_bus = {reply.node for reply in scan(link, SCAN_SECONDS)} if shared else set()
+        there = {reply.node for reply in scan(link, SCAN_SECONDS)} if shared else set()
         hello = client.connect()
-        numbers = {hello.node, *range(1, hello.nodes + 1), *on_bus}
+        announced = set(range(1, min(hello.nodes, MAX_NODE if shared else hello.nodes) + 1))
+        if hello.nodes > FEW and not shared:  # each that is not there would be waited for
+            there = {reply.node for reply in scan(link)}
+        numbers = there | {hello.node} if there else announced | {hello.node}
         first = Node(client, hello.node)
-        nodes, unread = [], {}
+        missing = sorted(announced - numbers)
+        words = f"node {hello.node} announces {hello.nodes} nodes, of which {_spans(missing)} did not answer"
+        nodes, unread = [], dict.fromkeys(missing, words)
         for number in sorted(numbers):
             try:
                 nodes.append(inspect_node(first if number == hello.node else Node(client, number)))
@@ -46,6 +56,7 @@ def inspect_link(target: str) -> dict[str, Any]:
                 if number == hello.node:
                     raise
                 unread[number] = str(error)
+        client.listen(hello.node)
         bus = inspect_bus(client, first)
         found: dict[str, Any] = finite({"target": target, "nodes": nodes, "unread": unread, "bus": bus})
         return found
@@ -53,15 +64,25 @@ def inspect_link(target: str) -> dict[str, Any]:
         link.close()
 
 
+def _spans(numbers: Iterable[int]) -> str:
+    """Numbers in words: 2 to 7, 9."""
+    spans: list[tuple[int, int]] = []
+    for n in numbers:
+        spans = [*spans[:-1], (spans[-1][0], n)] if spans and spans[-1][1] == n - 1 else [*spans, (n, n)]
+    return ", ".join(f"{first} to {last}" if first < last else f"{first}" for first, last in spans)
+
+
 def inspect_bus(client: Client, drive: Node) -> dict[str, Any] | None:
     """Load and traffic of a CAN bus as it is now, and which streams of the drive's channels fit; None on others."""
     wire = client.session.wire
     if not isinstance(wire, CanWire):
         return None
+    streamed: tuple[Channel, ...] = ()
     meter = BusMeter(client)
     client.run_for(BUS_SECONDS)
     plan = BusPlan(wire.rates, wire.extended, drive.identity.pwm_hz)
-    streamed = drive.channels(None) if drive.descriptor.channels else ()
+    with suppress(NodeError):  # none is streamed unless it is asked for
+        streamed = drive.channels(None)
     widths = [np.dtype(channel.raw.dtype).itemsize for channel in streamed]
     fits = [{"channels": f.channels, "rate_hz": f.rate, "load": f.load} for f in plan.choices(widths)]
     return (meter.report() or {}) | {"fits": fits, "fits_node": drive.number}

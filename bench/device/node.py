@@ -7,22 +7,26 @@ energises a drive by itself: `arm` and `start` are the explicit acts, and whoeve
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
+from operator import itemgetter
+from typing import NoReturn
 from zlib import crc32
 
 import numpy as np
 
-from bench.device.client import Client
+from bench.device.client import WATCHDOG, Client
 from bench.device.heard import ParameterSet
-from bench.device.safety import HEARTBEATS, Vigil, heard, says, switch_off, without_watchdog
-from bench.errors import DoesNotFit, DriveFailed, NodeError
+from bench.device.safety import HEARTBEATS, Vigil, heard, says, switch_off, why_unfed, without_watchdog
+from bench.errors import DoesNotFit, DriveFailed, NodeError, OutputsMayBeOn
 from protocol.canmap.host import CanWire
 from protocol.canmap.layout import EDGES_PER_SECOND, edge_load
 from protocol.canmap.plan import BusPlan
 from protocol.codes import fault_names
 from protocol.descriptor import Channel, Descriptor
-from protocol.errors import NoReply, Refused
+from protocol.errors import HbpError, NoReply, Refused
 from protocol.framing import MAX_PAYLOAD
 from protocol.messages import (
     BlobRead,
@@ -31,6 +35,7 @@ from protocol.messages import (
     DriveState,
     Empty,
     ErrorCode,
+    Fault,
     Feature,
     Heartbeat,
     Hello,
@@ -64,6 +69,7 @@ DRIVE, LOAD = 1, 2
 SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
 MAX_LATENCY_MS = 20  # with which the bench configures streams
+DUE = 0.15  # s after which the next heartbeat is late
 _BLOB_PART = 512
 
 
@@ -91,6 +97,8 @@ class Node:
         self._descriptor: Descriptor | None = None
         self._streams: dict[int, StreamSet] = {}
         self._vigil: Vigil | None = None  # while it should run
+        self.stopped_for = ""
+        """Why it is stopped, for OutputsMayBeOn to name; until it is off."""
         self.load = 0.0
         """Share of the link that its streams take at most, by the device; 0 = unknown."""
 
@@ -186,6 +194,12 @@ class Node:
         if not known:
             raise NodeError(f"node {self.number} has no channels to stream")
         names = tuple(names or ())
+        if not names and all(channel.flags & Flag.ON_REQUEST for channel in known):
+            listed = ", ".join(channel.name for channel in known)
+            raise NodeError(
+                f"every channel of node {self.number} is streamed on request only: name those that are wanted, with "
+                f"--channels (in Python: channels=); it has {listed}"
+            )
         chosen = set()
         if all(name.startswith("+") for name in names):
             chosen = {channel.id for channel in known if not channel.flags & Flag.ON_REQUEST}
@@ -216,9 +230,10 @@ class Node:
     def arm(self) -> None:
         """IDLE to ARMED, and start to feed the watchdog. A latched fault is named, not cleared.
 
-        Raises NodeError if it is refused, and DriveFailed, with the node stopped, unless a heartbeat shows it ARMED
-        with its watchdog at work.
+        Nothing is armed unless its heartbeats come, and are those of one device: NodeError. Raises NodeError if it is
+        refused, and DriveFailed, with the node stopped, unless a heartbeat shows it ARMED with its watchdog at work.
         """
+        self.require_alive()
         self.client.feed(self.number, on=True)
         try:
             state = self.command(Command.ARM, self.identity.boot_id)
@@ -232,21 +247,70 @@ class Node:
             raise NodeError(f"node {self.number} refused to arm: {refusal}") from None
         armed = heard(self, lambda heartbeat: heartbeat.state == DriveState.ARMED, HEARTBEATS)
         if armed is None:
-            why = f"it answered ARM with {state.name}, but {says(self.client.heartbeats.get(self.number))}"
+            why = f"it answered ARM with {state.name}, but {self._tripped() or self._says_now()}"
         elif not (why := without_watchdog(armed)):
             return
-        self.stop()
-        raise DriveFailed(f"refusing to energise node {self.number}: {why}")
+        self._give_up(f"refusing to energise node {self.number}: {why}")
+
+    def require_alive(self) -> None:
+        """NodeError unless it is one device whose heartbeats come: without them nobody would see it go off."""
+        number, boots = self.number, self.client.boots.setdefault(self.number, {})
+        self.client.listen(number)
+
+        def late() -> bool:
+            return max((came for came, _ in boots.values()), default=-math.inf) < self.client.now() - DUE
+
+        if late() and not self.client.wait(lambda: not late(), 2 * HEARTBEATS):
+            why = "it sends no heartbeat (one every 100 ms is due), so nobody could see its outputs go off"
+            raise NodeError(f"refusing to energise node {number} on {self.client.link.name}: {why}; nothing was armed")
+        if self.client.heartbeats[number].boot_id != self.identity.boot_id:
+            raise NodeError(
+                f"refusing to energise node {number}: it has rebooted since it was asked; nothing was armed"
+            )
+
+    def _says_now(self) -> str:
+        """What its heartbeats say, in words; that none came, where that is so."""
+        came, heartbeat = max(self.client.boots.get(self.number, {}).values(), default=(0.0, None), key=itemgetter(0))
+        return says(heartbeat if self.client.now() - came <= HEARTBEATS else None)
+
+    def _give_up(self, why: str) -> NoReturn:
+        """STOP, and raise DriveFailed; OutputsMayBeOn, which says why too, if it is not seen to be off."""
+        self.stopped_for = why
+        try:
+            self.stop()
+        except DriveFailed as failure:
+            raise DriveFailed(f"{why}; {failure}") from None
+        raise DriveFailed(why)
 
     def start(self) -> None:
         """ARMED to RUNNING: the outputs go on. Raises NodeError if it is refused, DriveFailed if it did not start."""
         try:
             state = self.command(Command.START)
         except Refused as refusal:
+            if refusal.code == ErrorCode.WRONG_STATE and (tripped := self._tripped()):
+                self._give_up(f"node {self.number} refused START, because {tripped}")
             raise NodeError(f"node {self.number} refused to start: {refusal}") from None
         if state != DriveState.RUNNING:
             raise DriveFailed(f"node {self.number} did not start: it answered START with {state.name}")
         self._vigil = Vigil(self)
+
+    def _tripped(self) -> str:
+        """That it has tripped, by which faults, and why its watchdog ran out, if it did; empty if it has not."""
+        heartbeat = self.next_heartbeat()
+        if heartbeat is None or heartbeat.state != DriveState.FAULT:
+            return ""
+        unfed = self.unfed(heartbeat.faults)
+        return f"it tripped: {', '.join(fault_names(heartbeat.faults))}{unfed and f': {unfed}'}"
+
+    def unfed(self, faults: Fault, watchdog: float | None = None) -> str:
+        """Why its watchdog, which waits `watchdog` s (None: ask it), ran out; empty if that is not among `faults`."""
+        if not faults & Fault.WATCHDOG:
+            return ""
+        if watchdog is None:
+            watchdog = WATCHDOG
+            with suppress(HbpError, NodeError):
+                watchdog = self.parameter("watchdog").value if self.has_parameter("watchdog") else WATCHDOG
+        return why_unfed(self, watchdog)
 
     def astray(self) -> str:
         """Why a node that was started does not run as it should, by its heartbeats; see `bench.device.safety.Vigil`."""
@@ -255,7 +319,12 @@ class Node:
     def stop(self) -> DriveState:
         """Outputs off, from any state, and seen to be off: see `bench.device.safety.switch_off` for what it raises."""
         self._vigil = None
-        return switch_off(self)
+        try:
+            state = switch_off(self)
+        except OutputsMayBeOn as failure:
+            raise OutputsMayBeOn(f"{failure} ({self.stopped_for})" if self.stopped_for else str(failure)) from None
+        self.stopped_for = ""
+        return state
 
     def clear_faults(self) -> None:
         """Clear exactly the faults that the last heartbeat showed; refused if there are others by now."""

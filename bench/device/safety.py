@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Protocol
 
 from bench.device.client import Client
-from bench.errors import DriveFailed, OutputsMayBeOn
+from bench.errors import UNSAFE, DriveFailed, OutputsMayBeOn
 from protocol.codes import fault_names
 from protocol.errors import HbpError, LinkError, NoReply, Refused
 from protocol.messages import Command, DriveState, Heartbeat, HelloReply
@@ -49,8 +49,12 @@ def says(heartbeat: Heartbeat | None) -> str:
     """State and outputs by a heartbeat, in words."""
     if heartbeat is None:
         return "it sends no heartbeat"
+    return f"its heartbeat says {_state(heartbeat)}"
+
+
+def _state(heartbeat: Heartbeat) -> str:
     faults = f" ({', '.join(fault_names(heartbeat.faults))})" if heartbeat.faults else ""
-    return f"its heartbeat says {heartbeat.state.name}{faults}, outputs {'on' if heartbeat.outputs_on else 'off'}"
+    return f"{heartbeat.state.name}{faults}, outputs {'on' if heartbeat.outputs_on else 'off'}"
 
 
 def heard(node: Node, condition: Callable[[Heartbeat], bool], timeout: float) -> Heartbeat | None:
@@ -83,8 +87,8 @@ def switch_off(node: Node) -> DriveState:
         except DriveFailed as lie:
             troubles.append(str(lie))
             lies.append(str(lie))
-        except NoReply:
-            troubles.append(f"{_name(node)} did not answer STOP")
+        except NoReply as error:
+            troubles.append(f"{_name(node)} did not answer STOP{str(error).partition(' tries')[2]}")
         except LinkError as error:
             troubles.append(f"STOP was not sent, or its answer not heard: {error}")
             if not _back(client):
@@ -109,11 +113,34 @@ def _stop_once(node: Node) -> DriveState:
         raise DriveFailed(f"{_name(node)} refused STOP ({refusal})") from None
     if answer not in OFF:
         raise DriveFailed(f"{_name(node)} answered STOP with {answer.name}")
-    seen = heard(node, is_off, HEARTBEATS)
-    if seen is None:
-        now = says(node.client.heartbeats.get(node.number))
-        raise DriveFailed(f"{_name(node)} answered STOP with {answer.name}, but {now}")
-    return seen.state
+    since = node.client.now()
+    if not node.client.wait(lambda: _all_off(node, since), 2 * HEARTBEATS if len(_heard(node)) > 1 else HEARTBEATS):
+        raise DriveFailed(f"{_name(node)} answered STOP with {answer.name}, but {_still(node, since)}")
+    return node.client.heartbeats[node.number].state
+
+
+def _heard(node: Node) -> list[tuple[float, Heartbeat]]:
+    """When the newest heartbeat came of each boot that was heard lately, and what it says: two are two devices."""
+    beats = node.client.boots.get(node.number, {}).values()
+    return [each for each in beats if node.client.now() - each[0] <= HEARTBEATS]
+
+
+def _all_off(node: Node, since: float) -> bool:
+    """Whether each device that is heard as `node` has said after `since` that it is off."""
+    beats = _heard(node)
+    return bool(beats) and all(came > since and is_off(heartbeat) for came, heartbeat in beats)
+
+
+def _still(node: Node, since: float) -> str:
+    """Why it is not seen to be off, in words."""
+    newest = max(node.client.boots.get(node.number, {}).values(), default=None, key=lambda each: each[0])
+    if newest is None:
+        return says(None)
+    if newest[0] <= since:
+        silent = node.client.now() - newest[0]
+        return f"no heartbeat came for {silent:.1f} s, and the last one said {_state(newest[1])}"
+    wrong = [heartbeat for came, heartbeat in _heard(node) if not (came > since and is_off(heartbeat))]
+    return says(wrong[-1] if wrong else newest[1])
 
 
 def _name(node: Node) -> str:
@@ -122,15 +149,13 @@ def _name(node: Node) -> str:
 
 def _by_itself(node: Node, troubles: list[str]) -> DriveState:
     """Watch whether `node`, which no longer is fed, switches itself off. Raises OutputsMayBeOn or DriveFailed."""
-    seen = None
+    since = node.client.now()
     with suppress(HbpError):
-        seen = heard(node, is_off, WATCHDOG)
+        node.client.wait(lambda: _all_off(node, since), WATCHDOG)
     often = "" if len(troubles) == 1 else f" ({len(troubles)} tries)"
-    if seen is not None:
-        raise DriveFailed(f"{troubles[-1]}{often}; now {says(seen)}")
-    raise OutputsMayBeOn(
-        f"OUTPUTS MAY STILL BE ON: cut the power. {troubles[-1]}{often}; {_name(node)} was not confirmed off"
-    )
+    if _all_off(node, since):
+        raise DriveFailed(f"{troubles[-1]}{often}; now {says(node.client.heartbeats.get(node.number))}")
+    raise OutputsMayBeOn(f"{UNSAFE}. {troubles[-1]}{often}; {_name(node)} was not confirmed off")
 
 
 def _back(client: Client) -> bool:
@@ -147,6 +172,7 @@ class Vigil:
         self._node = node
         self._began = self._came = node.client.now()
         self._newest = node.client.heartbeats.get(node.number)
+        self._pauses = node.client.pauses  # of this program: what came meanwhile is still to be looked at
         self._boot = node.identity.boot_id
         self._seen_running = False
         self._dark = 0  # heartbeats in a row that say RUNNING with outputs off: one may be the first of a fault
@@ -159,8 +185,8 @@ class Vigil:
         client = self._node.client
         now, heartbeat = client.now(), client.heartbeats.get(self._node.number)
         new = heartbeat is not self._newest
-        if new or client.health.down_since is not None:
-            self._newest, self._came = heartbeat, now
+        if new or client.health.down_since is not None or client.pauses != self._pauses or client.behind:
+            self._newest, self._came, self._pauses = heartbeat, now, client.pauses
         if now - self._came > QUIET:
             return f"no heartbeat for {now - self._came:.1f} s: its state is unknown"
         if heartbeat is None or heartbeat.boot_id != self._boot or heartbeat.state == DriveState.FAULT:
@@ -182,6 +208,18 @@ class Vigil:
         if self._seen_running:
             return f"left RUNNING without a fault and without a STOP from this program: {says(heartbeat)}"
         return f"did not start: START was answered RUNNING, but {says(heartbeat)}"
+
+
+def why_unfed(node: Node, watchdog: float) -> str:
+    """Why the watchdog of `node`, which waits `watchdog` s by what it tells, may have run out; never empty."""
+    client, number = node.client, node.number
+    if found := client.starved(number, watchdog):
+        return found
+    longest = client.longest_unfed(number)
+    return (
+        f"this host sent an ALIVE at least every {longest:.2f} s: the link lost them or carried them late, or the "
+        f"drive's watchdog is shorter than the {watchdog:g} s that it tells"
+    )
 
 
 def without_watchdog(heartbeat: Heartbeat) -> str:

@@ -215,6 +215,8 @@ class Turner:
         drive = self._rig.drive
         what = f"the drive, by its {source}, tripped {', '.join(drive.faults)}"
         self._trips.setdefault(what, {})[f"{omega_m / RPM:+.0f}"] = None
+        if unfed := drive.unfed():
+            self._remarks.append(f"its watchdog ran out at {omega_m / RPM:+.0f} r/min: {unfed}")
         self._running = False
         self._coast()
         other = [name for name in drive.faults if name != Fault.HALL.name]

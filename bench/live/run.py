@@ -13,6 +13,7 @@ from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 
 from bench.device.bus import BusMeter
+from bench.device.client import PAUSE
 from bench.device.heard import Heard, Note, Sink
 from bench.device.node import LOAD
 from bench.device.simulator import EmbeddedDrive
@@ -33,7 +34,7 @@ from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.lock import alone_on
 from bench.rig.needs import NEEDS, require
 from bench.rig.outcome import RunOutcome
-from bench.rig.outputs import Recording, load_beside
+from bench.rig.outputs import Recording, load_beside, require_viewable
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.streams import decimation_of
@@ -85,6 +86,7 @@ class LiveRun:
         self._next_progress = 0.0
         self._last_samples = (0, 0.0)
         self._silent = False
+        self._pauses = 0  # of this program, when it last looked
 
     # -- before anything moves ----------------------------------------------------------------------------------
 
@@ -340,8 +342,9 @@ class LiveRun:
         now = self.client.now()
         if self.client.health.down_since is None:
             seen, since = self._last_samples
-            if self._stats.samples_seen != seen or since == 0.0:
-                self._last_samples = (self._stats.samples_seen, now)
+            paused = self.client.pauses != self._pauses or self.client.behind
+            if self._stats.samples_seen != seen or since == 0.0 or paused:
+                self._last_samples, self._pauses = (self._stats.samples_seen, now), self.client.pauses
                 self._silent = False
             elif now - since > SILENCE and not self._silent:
                 self._silent = True
@@ -401,7 +404,8 @@ class LiveRun:
             missing = "no heartbeat came"
         if missing:
             return Verdict.FAIL, missing, ()
-        if misdated := stats.misdated(self.node.identity.tick_hz):
+        misdated = stats.misdated(self.node.identity.tick_hz)
+        if misdated and self.client.longest_pause < PAUSE:  # else they may have waited here
             return Verdict.FAIL, f"implausible: {misdated}", (misdated,)
         judge = self._judge
         if judge is None:
@@ -443,6 +447,7 @@ def run(
     the live view up after that. Raises BenchError and HbpError for what the user can mend. However this is left, STOP
     was sent, or could not be sent and the note says so.
     """
+    require_viewable(options.save, options.viewer)
     if options.save is not None:
         check_output(options.save, str(options.save), options.overwrite, recording=True)
     if options.estimate:

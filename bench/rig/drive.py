@@ -187,6 +187,7 @@ class Drive(Machine):
     def _stop_runaway(self) -> None:
         """Switch off a motor that runs away, and raise RanAway; what is wrong with STOP is raised instead."""
         if words := self.runs_away:
+            self.node.stopped_for = f"{self.title} {words.partition(';')[0]}"
             self.stop()
             raise RanAway(f"{self.title} {words}")
 

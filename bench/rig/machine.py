@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from bench.device.client import WATCHDOG
 from bench.device.node import Node
+from bench.device.safety import is_off
 from bench.errors import BenchError, OutputsMayBeOn
 from bench.rig.envelope import Envelope
 from bench.rig.restore import not_put_back, put_back
@@ -19,7 +20,7 @@ class Machine:
 
     title = "the machine"
     advice = ""
-    """What to do about a watchdog that was not fed, to follow its words."""
+    """What to do where this program did not feed the watchdog, to follow these words."""
     place = ""
     """Where its parameters are, after "not restored", if it is not the drive."""
     agreed: Callable[[], None] = staticmethod(lambda: None)
@@ -30,6 +31,7 @@ class Machine:
         self.envelope = envelope
         self.on = False
         """From before it is armed until it was seen to be off."""
+        self._energised = False  # whether it ever was, from here
         self._before: dict[str, float] = {}  # parameters that were set, in that order, as they were before
 
     def __repr__(self) -> str:
@@ -53,16 +55,20 @@ class Machine:
     def energise(self) -> None:
         """Arm and start. NodeError where it refuses, DriveFailed where it does not do what it answers."""
         self.agreed()
-        self.on = True  # before it is: whatever happens, it gets a STOP
+        self.node.require_alive()
+        self.on = self._energised = True  # before it is: whatever happens, it gets a STOP
         self.node.arm()
         self.node.start()
 
     def stop(self) -> DriveState:
         """Outputs off, from any state, and seen to be off. Raises DriveFailed or OutputsMayBeOn."""
-        self.on = False
+        ours, self.on = self.on or self._energised, False
         try:
             return self.node.stop()
         except OutputsMayBeOn:
+            heartbeat = self.node.client.heartbeats.get(self.node.number)
+            if not ours and heartbeat is not None and is_off(heartbeat):  # nobody here has switched it on
+                return heartbeat.state
             self.on = True
             raise
 
@@ -82,8 +88,14 @@ class Machine:
         client, number = self.node.client, self.node.number
         faults = client.faults.get(number, Fault(0))
         words = f"{self.name} tripped: {', '.join(fault_names(faults))}"
-        unfed = client.starved(number, self.watchdog) if faults & Fault.WATCHDOG else ""
-        return f"{words}: {unfed}{self.advice}" if unfed else words
+        if unfed := self.unfed():
+            advice = self.advice if client.starved(number, self.watchdog) else ""
+            return f"{words}: {unfed}{advice}"
+        return words
+
+    def unfed(self) -> str:
+        """Why its watchdog ran out; empty if it has not."""
+        return self.node.unfed(self.node.client.faults.get(self.node.number, Fault(0)), self.watchdog)
 
     def put_back(self) -> None:
         """Every parameter as it was before. All of it is tried; the first error is raised at the end.

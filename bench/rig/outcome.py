@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
-from bench.errors import ExitCode
+from bench.errors import UNSAFE, ExitCode
 from bench.signal.verdict import Verdict
 
 
@@ -24,7 +24,9 @@ class RunOutcome:
     ) -> Self:
         """`unsafe`: why outputs may still be on, which goes before all else. `signum`: the signal that ended it."""
         if unsafe:
-            joined = unsafe if words in ("", "ok") else f"{unsafe} ({words})"
+            joined = unsafe if words in ("", "ok") or words in unsafe else f"{unsafe} ({words})"
+            if UNSAFE in words:  # it is told there, with its cause
+                joined = words
             return cls(ExitCode.OUTPUTS_MAY_BE_ON, verdict, joined, findings)
         ended = verdict is Verdict.ABORTED and signum
         return cls(128 + signum if ended else verdict.exit_code, verdict, words, findings)

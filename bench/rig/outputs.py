@@ -18,6 +18,7 @@ from bench.record.info import Mark, RunInfo, SummaryText
 from bench.record.ring import FOR_EVER, Stored
 from bench.signal.percentiles import Percentiles
 from bench.signal.verdict import Verdict
+from bench.view import require_rerun
 
 if TYPE_CHECKING:
     from bench.record.sink import RunSink
@@ -41,6 +42,14 @@ def load_beside(view: bool) -> None:
                 import bench.view.sinks  # noqa: F401
 
     threading.Thread(target=load, name="import").start()
+
+
+def require_viewable(save: Path | None, viewer: str) -> None:
+    """Raise ViewerError where rerun is needed, for a live view or a file of its own, and switched off."""
+    if viewer != "none":
+        require_rerun("choose --viewer none (in Python: viewer='none')")
+    elif save is not None and save.suffix == RRD:
+        require_rerun("record to a .run")
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,7 @@ class Outputs:
     def __init__(self, run: RunInfo, recording: Recording, wait: bool = False) -> None:
         """`wait`: hold a caller back that is faster than the disk, for virtual time."""
         save = recording.path
+        require_viewable(save, recording.viewer)
         self.file: RunSink | None = None
         self._rrd = save if save is not None and save.suffix == RRD else None
         self.view: LiveView | None = None

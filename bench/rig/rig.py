@@ -12,14 +12,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Self
 
-from bench.device.client import POLL, Client
+from bench.device.client import LISTEN, POLL, Client
 from bench.device.heard import Sink
 from bench.device.node import ClockFit, Node
 from bench.device.safety import is_off, says
-from bench.errors import BenchError, DriveFailed, OutputsMayBeOn
+from bench.errors import BenchError, DriveFailed, OutputsMayBeOn, SeveralDevices
 from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.envelope import Envelope
@@ -45,7 +46,7 @@ from protocol.descriptor import Channel
 from protocol.errors import HbpError
 from protocol.links import Link
 from protocol.messages import Role
-from protocol.signals import Flag, Signal
+from protocol.signals import Flag, Signal, Unit
 from protocol.streams import StreamConfig
 
 SILENCE = 2.0  # s without samples after which waiting for more is given up
@@ -134,7 +135,10 @@ class Rig:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.close()
         if self.unsafe and error is not None and self.plan.goes_on:
-            raise OutputsMayBeOn(f"{self.unsafe} ({error or type(error).__name__})") from error
+            unsafe = isinstance(error, OutputsMayBeOn)  # it is told once, with its cause if that is known
+            raise OutputsMayBeOn(
+                str(error) if unsafe else f"{self.unsafe} ({error or type(error).__name__})"
+            ) from error
 
     # -- before anything moves ----------------------------------------------------------------------------------
 
@@ -168,6 +172,7 @@ class Rig:
 
     def take(self, or_fault: bool = False) -> None:
         """Begin to use the drive, if it is free: see `require_rest`. Streams that somebody has left are stopped."""
+        self.client.require_alone(self.drive.node.number)
         self.require_rest(or_fault)
         self._taken = True
         self.drive.node.stop_streams()
@@ -237,12 +242,15 @@ class Rig:
 
     def _most_channels(self, needed: frozenset[str]) -> list[tuple[Channel, ...]]:
         """The most channels, and the fewest that a measurement can do with."""
-        unasked = Flag.TRUTH | Flag.ON_REQUEST
-        known = self.drive.node.descriptor.channels
-        channels = tuple(c for c in known if c.name in needed or not c.flags & unasked)
+        known = [c for c in self.drive.node.descriptor.channels if c.name in needed or not c.flags & Flag.TRUTH]
         wanted = needed.union(CORE)
+        usual = [c for c in known if c.name in wanted or not c.flags & Flag.ON_REQUEST]
+        for unit, flags in product((Unit.RAD, Unit.RAD_PER_S), (Flag.REFERENCE, Flag.REFERENCE | Flag.ESTIMATE)):
+            if not any(c.unit == unit and c.flags & flags for c in usual):  # but on request: then it is asked for
+                usual += [c for c in known if c.unit == unit and c.flags & flags]
+        channels = tuple(c for c in known if c in usual)
         core = tuple(c for c in channels if c.name in wanted or c.flags & (Flag.REFERENCE | Flag.ESTIMATE))
-        return [channels, core]
+        return [channels or self.drive.node.channels(None), core]
 
     def record_to(
         self, recording: Recording, watching: Sequence[Sink], more: Sequence[Channel | Signal] = ()
@@ -283,6 +291,8 @@ class Rig:
         """
         self.tripped = why
         self.client.note(why, "ERROR")
+        for machine in self.machines:
+            machine.node.stopped_for = why
         self._tell(failures_of(machine.stop for machine in self.machines if machine.on))
 
     def rest(self) -> None:
@@ -449,23 +459,54 @@ class Rig:
             self.outputs.check()
         if self.plan.goes_on and self.client.health.down_since is None:
             self._look()
-        elif not (self.plan.goes_on or self.plan.passive):
-            if self._rebooted:
-                raise DriveTripped("the drive has rebooted")
-            for machine in self.machines:
-                machine.look()
+        elif not self.plan.goes_on:
+            self._require_alone()
+            rebooted = self._boots()
+            if not self.plan.passive:
+                if rebooted:
+                    raise DriveTripped(f"{self._title(rebooted[0])} has rebooted")
+                for machine in self.machines:
+                    machine.look()
+
+    def _title(self, node: int) -> str:
+        ours = (machine.title for machine in self.machines if machine.node.number == node)
+        return next(ours, f"node {node}")
+
+    def _require_alone(self) -> None:
+        """Raise SeveralDevices, with all off, where more than one device answers as a machine of this rig.
+
+        It is DriveFailed in a run that goes on.
+        """
+        for node in (machine.node for machine in self.machines if machine.node.number in machine.node.client.several):
+            self._tell(failures_of(machine.stop for machine in self.machines if machine.on))
+            try:
+                node.client.require_alone(node.number)
+            except SeveralDevices as error:
+                raise (DriveFailed(str(error)) if self.plan.goes_on else error) from None
+
+    def _boots(self) -> list[int]:
+        """Nodes that have rebooted, with all off; raises as `_require_alone`, whose reason begins in the same way."""
+        if not self._rebooted:
+            return []
+        self._tell(failures_of(machine.stop for machine in self.machines if machine.on))
+        self.client.wait(lambda: bool(self.client.several), LISTEN)
+        self._require_alone()
+        nodes = sorted(self._rebooted)
+        self._rebooted.clear()
+        for node in nodes:
+            self.client.note(f"node {node} has rebooted", "WARN")
+        return nodes
 
     def _look(self) -> None:
         """Of a run that goes on: let go what does not run as it should, and keep the clock fresh."""
-        now = self.client.now()
-        while self._rebooted:
-            node = self._rebooted.pop()
-            for machine in self.machines:
-                if machine.node.number == node:
-                    self.let_go(f"{machine.title} has rebooted")
+        self._require_alone()
+        for node in self._boots():
+            if any(machine.node.number == node for machine in self.machines):
+                self.let_go(f"{self._title(node)} has rebooted")
             if node == self.drive.node.number:
-                self.clock, self._next_clock = None, now
+                self.clock, self._next_clock = None, self.client.now()
                 self.drive.node.resume_streams()
+        now = self.client.now()
         for machine in () if self.unsafe else reversed(self.machines):
             if machine.on and (why := machine.trouble()):
                 self.let_go(why)

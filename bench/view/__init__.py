@@ -15,4 +15,19 @@ errors.
 
 import os
 
+from bench.errors import ViewerError
+
 os.environ.setdefault("RUST_LOG", "off")  # read by rerun when it is imported
+
+_OFF = ("0", "false", "off")  # what rerun takes for it, in letters of any size
+
+
+def require_rerun(instead: str = "") -> None:
+    """Raise ViewerError where the environment switches rerun off; `instead`: what can be done without it."""
+    if (value := os.environ.get("RERUN", "")).lower() in _OFF:
+        raise switched_off(f"RERUN={value}", instead)
+
+
+def switched_off(why: str, instead: str = "") -> ViewerError:
+    """That rerun is, and what to do."""
+    return ViewerError(f"rerun is switched off by {why} in the environment: unset RERUN{instead and f', or {instead}'}")

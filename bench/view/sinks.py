@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
 import queue
 import threading
 import time
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING
 from bench.device.heard import ClockRestarted
 from bench.record.info import Kept, Mark, RunInfo, SummaryText
 from bench.signal.percentiles import Percentiles
-from bench.view import schema
+from bench.view import schema, switched_off
 from bench.view.blocks import Block, BlockBuilder
 from protocol.host import HeartbeatReceived
 from protocol.streams import SampleChunk
@@ -162,6 +163,8 @@ def new_stream(run: RunInfo) -> rr.RecordingStream:
 
     with Held():  # an unfinished one complains when it is dropped
         stream = rr.RecordingStream(schema.APPLICATION, recording_id=run.recording_id)
+    if rr.get_application_id(recording=stream) is None:  # whatever it takes for that
+        raise switched_off(f"RERUN={os.environ.get('RERUN', '')}")
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     return stream

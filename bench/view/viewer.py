@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from urllib.parse import quote
 
-from bench.errors import BenchError, ExitCode
+from bench.errors import ViewerError
 from bench.record.info import RunInfo
 from bench.view.sinks import LiveSink
 
@@ -39,12 +39,6 @@ viewer=$!
 exec 3<&-
 wait $viewer
 """
-
-
-class ViewerError(BenchError):
-    """The live view cannot be started."""
-
-    exit_code = ExitCode.NO_VIEWER
 
 
 def free_port(first: int, wanted: int | None = None, use: str = "the live view") -> int:

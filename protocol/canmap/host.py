@@ -7,6 +7,7 @@ are of. This module never looks into a message, but for a heartbeat's time.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ from protocol.errors import LocalProtocolError, RemoteProtocolError
 from protocol.framing import HEADER_BYTES, Frame
 from protocol.messages import Heartbeat, MessageType, PayloadError, StreamEvent
 from protocol.streams import Beat, StreamConfig, TickReference
-from protocol.wire import Decoder, StreamFrames
+from protocol.wire import PATIENCE, Decoder, StreamFrames
 
 OVERDUE = 0.35  # s without a heartbeat after which a node's stream frames are held back: three of them, and some
 MAX_BEATS = 16  # heartbeats of a node that are remembered
@@ -63,6 +64,8 @@ class CanWire:
     """
 
     shared = True
+    patience = PATIENCE
+    delay = 0.0
 
     def __init__(self, rates: BusRates, node: int = 1, extended: bool = False, host: int = 0) -> None:
         self.counters = CanCounters()
@@ -271,6 +274,15 @@ class CanWire:
         if heard:
             return f"check that node {self.node} is an HBP device, and its frame format and identifiers"
         return "check power, cable, termination, the bit rates and the node"
+
+    def unanswered(self, nodes: Sequence[int]) -> str:
+        """See `HostWire.unanswered`."""
+        if self.node in nodes:
+            what = f"node {self.node} is heard, and does not hear this program"
+            mixed = "; or two devices have this number, and what they send is mixed" if self.counters.bad else ""
+            return f"{what}: check the adapter's TX wire, and that it may send{mixed}"
+        there = ", ".join(map(str, nodes))
+        return f"node {self.node} is not there, but {there}: add node={nodes[0]} to the target"
 
 
 def stop_record(node: int, extended: bool, fd: bool) -> bytes:

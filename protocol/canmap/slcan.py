@@ -172,8 +172,11 @@ class SlcanParser:
         """Lines that are no frames, for the caller to take and clear."""
         self.replies_dropped = 0
         """Such lines for which there was no room."""
+        self.strange = b""
+        """The first line that could not be read."""
         self._malformed = 0
         self._rest = b""
+        self._after_cr = False
 
     @property
     def malformed(self) -> int:
@@ -182,7 +185,7 @@ class SlcanParser:
 
     def feed(self, data: bytes, now: float) -> NDArray[np.void]:
         """Take bytes, cut anywhere; return the frames that they complete as CAN_RECORDs with the time `now`."""
-        data = self._rest + data
+        data = self._rest + self._lines(data)
         buffer = np.frombuffer(data, np.uint8)
         ends = np.flatnonzero((buffer == _CR) | (buffer == _BELL))
         used = int(ends[-1]) + 1 if len(ends) else 0
@@ -208,14 +211,26 @@ class SlcanParser:
         count = int(before[-1])
         others = np.flatnonzero(~is_frame).tolist()
         self._malformed += len(ends) - len(others) - count
+        for line in np.flatnonzero(is_frame & ~good).tolist()[:1]:
+            self.strange = self.strange or data[starts[line] : ends[line]]
         for line in others:
             self._put_aside(data[starts[line] : ends[line]], data[ends[line]] == _BELL, int(before[line]))
         return records if count == len(records) else records[good]
+
+    def _lines(self, data: bytes) -> bytes:
+        """The data with lines that end in a carriage return, however they end: many sketches send a line feed, too."""
+        if not data:
+            return data
+        second = self._after_cr and data.startswith(b"\n")
+        self._after_cr = data.endswith(END)
+        data = data[second:]
+        return data.replace(END + b"\n", END).replace(b"\n", END) if b"\n" in data else data
 
     def _put_aside(self, text: bytes, bell: bool, frames: int) -> None:
         replies = [BELL] if bell else [text]
         if (bell and text) or len(text) > MAX_LINE or not _REPLY.fullmatch(text):
             self._malformed += 1
+            self.strange = self.strange or text
             replies = replies[: int(bell)]
         for reply in replies:
             if len(self.replies) < MAX_REPLIES:

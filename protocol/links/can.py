@@ -34,6 +34,7 @@ from protocol.links.can_open import (
 )
 from protocol.links.slcan_bus import SlcanBus
 from protocol.links.target import CanTarget
+from protocol.text import counted, printable
 from protocol.wire import HostWire
 
 STALL = 0.25
@@ -44,6 +45,9 @@ MISTRUST = 0.3
 
 MAX_BUFFER = (8 << 20) // RECORD_BYTES * RECORD_BYTES
 """Most bytes that wait for `read`; frames that come on top are dropped and counted."""
+
+SHOWN = 40
+"""Most characters of an adapter's text that an error shows."""
 
 _READ = MAX_READ // RECORD_BYTES * RECORD_BYTES
 _POLL = 0.1  # s that the thread waits for a frame before it looks around
@@ -157,6 +161,19 @@ class CanLink:
         """See `Link.reopen`."""
         self.close()
         self._open()
+
+    def oddities(self) -> list[str]:
+        """Why nothing may come, if that is known: what the adapter refused, other text of it, another program there."""
+        health, bus = self.health, None if self._reader is None else self._reader.bus
+        told = [f"the adapter refused {health.refused} commands or frames"] if health.refused else []
+        if isinstance(bus, SlcanBus):
+            if health.malformed:
+                text = printable(bus.strange[:SHOWN].decode("latin1"))
+                told.append(
+                    f"the adapter sent text that is no slcan ({counted(health.malformed, 'line')}), such as '{text}'"
+                )
+            told += bus.oddities()
+        return told
 
     @property
     def _opened(self) -> _Reader:

@@ -18,6 +18,7 @@ from serial.tools import list_ports
 
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links.base import DescriptorLink
+from protocol.links.rivals import rivals
 from protocol.links.target import SerialTarget
 from protocol.wire import ByteWire, HostWire
 
@@ -25,6 +26,7 @@ _TCGETS2 = 0x802C542A
 _TERMIOS2 = struct.Struct("=4I20x2I")  # c_iflag..c_lflag, c_line and c_cc, c_ispeed, c_ospeed
 _GONE = {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO}
 _RATE_TOLERANCE = 0.03
+BOOT = 7.0  # s after opening a port in which a board that was reset by that is waited for
 LOOK = 0.005  # s between two looks at a port for which nothing has come
 
 
@@ -81,7 +83,8 @@ class SerialLink(DescriptorLink):
     def _cannot_open(self, error: OSError) -> LinkError:
         port = self.target.port
         if error.errno in (errno.EAGAIN, errno.EBUSY):
-            return LinkBusy(f"{port} is held by another program: close it and try again")
+            named = f" ({', '.join(others)})" if (others := rivals(port)) else ""
+            return LinkBusy(f"{port} is held by another program{named}: close it and try again")
         if error.errno in (errno.EACCES, errno.EPERM):
             return LinkError(f"no permission for {port}: add your user to its group (often dialout)")
         if error.errno in _GONE:
@@ -92,9 +95,14 @@ class SerialLink(DescriptorLink):
             return LinkError(f"{port} is not a serial port")
         return LinkError(f"cannot open {port}: {error}")
 
+    def oddities(self) -> list[str]:
+        """Why nothing may come, if that is known: another program has the port open, too."""
+        names = " and ".join(rivals(self.target.port))
+        return [f"{names} has {self.target.port} open, too, and may take what comes: close it"] if names else []
+
     def wire(self) -> HostWire:
         """See `Link.wire`."""
-        return ByteWire(self.target.baud)
+        return ByteWire(self.target.baud, BOOT, self.target.open_delay)
 
     def close(self) -> None:
         """See `Link.close`."""

@@ -163,6 +163,15 @@ class SlcanBus(can.BusABC):
         """Lines of the adapter that could not be read; they are dropped."""
         return self._parser.malformed
 
+    @property
+    def strange(self) -> bytes:
+        """The first line of the adapter that could not be read."""
+        return self._parser.strange
+
+    def oddities(self) -> list[str]:
+        """See `SerialLink.oddities`."""
+        return self._port.oddities()
+
     def _start(self, commands: Sequence[tuple[bytes, str]]) -> None:
         """Open the channel and look at the answers: an end of line or a bell for each command.
 

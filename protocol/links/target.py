@@ -5,6 +5,7 @@ This module only reads and writes the strings; it opens nothing, and so does not
 
 from __future__ import annotations
 
+import re
 import socket
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 DEFAULT_BAUD = 115200
 MIN_BAUD = 300
 MAX_BAUD = 50_000_000
+MAX_OPEN_DELAY = 60
 
 DEFAULT_BITRATE = 1_000_000
 DEFAULT_DATA_BITRATE = 5_000_000
@@ -78,14 +80,17 @@ class SerialTarget(Target):
 
     port: str
     baud: int = DEFAULT_BAUD
+    open_delay: float = 0.0
+    """s after opening in which nothing is sent: to a boot loader that takes the first byte for its own."""
 
     @classmethod
     def read(cls, text: str, address: str, options: Mapping[str, str]) -> Self:
         """See `Target.read`."""
-        _allow(text, options, ("baud",))
+        _allow(text, options, ("baud", "open_delay"))
         if not address:
             raise TargetError(f"target '{text}' names no port: write serial:/dev/ttyACM0")
-        return cls(address, _whole(text, options, "baud", DEFAULT_BAUD, MIN_BAUD, MAX_BAUD))
+        baud = _whole(text, options, "baud", DEFAULT_BAUD, MIN_BAUD, MAX_BAUD)
+        return cls(address, baud, _seconds(text, options, "open_delay", MAX_OPEN_DELAY))
 
     @staticmethod
     def here() -> list[str]:
@@ -98,7 +103,9 @@ class SerialTarget(Target):
         return str(Path(self.port).resolve())
 
     def __str__(self) -> str:
-        return f"serial:{self.port}" + (f"?baud={self.baud}" if self.baud != DEFAULT_BAUD else "")
+        given = {"baud": (self.baud, DEFAULT_BAUD), "open_delay": (self.open_delay, 0.0)}
+        query = "&".join(f"{key}={value:.12g}" for key, (value, usual) in given.items() if value != usual)
+        return f"serial:{self.port}" + (f"?{query}" if query else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +270,7 @@ def _read_options(text: str, query: str) -> dict[str, str]:
 def _allow(text: str, options: Mapping[str, str], allowed: tuple[str, ...]) -> None:
     for key in options:
         if key not in allowed:
-            known = f"the known one is {', '.join(allowed)}" if allowed else "a target of this kind has none"
+            known = f"known: {', '.join(allowed)}" if allowed else "a target of this kind has none"
             raise TargetError(f"target '{text}': unknown key '{key}' ({known})")
 
 
@@ -272,6 +279,13 @@ def _whole(text: str, options: Mapping[str, str], key: str, default: int, lowest
     if not value.isascii() or not value.isdigit() or not lowest <= int(value) <= highest:
         raise TargetError(f"target '{text}': {key} must be a whole number from {lowest} to {highest}, got '{value}'")
     return int(value)
+
+
+def _seconds(text: str, options: Mapping[str, str], key: str, highest: float) -> float:
+    value = options.get(key, "0")
+    if not re.fullmatch(r"\d+(\.\d*)?", value, re.ASCII) or float(value) > highest:
+        raise TargetError(f"target '{text}': {key} must be a number of seconds from 0 to {highest:g}, got '{value}'")
+    return float(value)
 
 
 def _ports() -> list[str]:

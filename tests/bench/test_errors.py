@@ -58,7 +58,7 @@ def test_a_target_that_is_not_there(fail: Fail, command: str, target: str, says:
 
 
 @pytest.mark.real_time
-@pytest.mark.long("waits 3 s for an answer")
+@pytest.mark.long("waits 7 s for an answer")
 def test_a_wrong_baud_rate(start_sim: Callable[..., Sim], fail: Fail) -> None:
     sim = start_sim("--pty", "--baud", "3000000")
     assert sim.target.endswith("?baud=3000000")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import random
 import re
 import signal
 import sys
@@ -31,6 +32,7 @@ from protocol.errors import LinkClosed
 from protocol.messages import DriveState, Fault
 from sim.ports.device import SimulatedDevice
 from tests.bench.accept.accepting import HEAD, SpoiltLink
+from tests.choice import CAMPAIGN, commit, sampled
 
 TARGET = f"serial:/dev/ttyEND{os.getpid()}"  # a target is locked: no two processes of the tests have one
 LINKS = ("bytes", "CAN")
@@ -294,3 +296,34 @@ def test_what_the_drive_or_the_link_does_leaves_nothing_on_unsaid(way: str, comm
         assert not any(session.app.outputs_on for session in device.sessions)
     if way != "the cable is pulled":
         assert ended.link.left()[1]["2.tau_max"] == ended.before[1]["2.tau_max"]
+
+
+# -- a host that stands still -------------------------------------------------------------------------------------
+
+ACCUSING = (
+    r"no HBP device answered|sends no heartbeat|state is unknown|did not start|left RUNNING|confirmed no setpoint|"
+    r"no DATA|rebooted|devices answer|STILL BE ON|WRONG_STATE|did not answer \w+ in 3 tries: (nothing|it is heard)"
+)
+PAUSES = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0)  # s
+PAUSED = [(command, network) for command in ("live", "accept", "hall", "notebook") for network in LINKS]
+AT_RANDOM = 60 if os.environ.get(CAMPAIGN) else 5
+
+
+@pytest.mark.parametrize(("command", "network"), sampled("paused", PAUSED, 3, campaign="ends"))
+def test_a_pause_of_this_program_is_nobodys_fault_but_its_own(command: str, network: str) -> None:
+    """At any moment, before HELLO is answered as while the motor turns: nothing is said of drive or link."""
+    calls = len(_states(command, network))
+    rng = random.Random(f"{commit()} {command} {network}")
+    for at, pause in ((rng.randrange(1, calls), rng.choice(PAUSES)) for _ in range(AT_RANDOM)):
+
+        def stand_still(link: SpoiltLink, call: int, at: int = at, pause: float = pause) -> None:
+            if call == at:
+                link.device.advance(round(pause * link.device.pwm_hz))
+
+        ended = _run(command, simulated(network=network), stand_still)
+        where = f"{pause} s at call {at} of {calls}: {ended.text}"
+        assert not re.search(ACCUSING, ended.text), where
+        assert "Traceback" not in ended.text
+        assert ended.link.left()[0] == ended.before[0], where  # all off
+        if ended.code:
+            assert re.search(r"WATCHDOG.*this host sent no ALIVE for \d\.\d\d s \(it was starved", ended.text), where

@@ -176,6 +176,13 @@ def _stops_beating(self: Device, heartbeat: Callable[[], None]) -> None:
         heartbeat()
 
 
+def _booting(self: Device, advance: Callable[[], None]) -> None:
+    if self.seconds >= self.after:
+        advance()
+    else:
+        self._periods = self.tick() // self._ticks
+
+
 def _watchdog_at(share: float) -> Callable[..., bool]:
     """The watchdog waits for this share of its time, whatever it tells."""
     return lambda self, _: self.tick() - self._fed_at >= self.value("watchdog", self.watchdog) * share * 1e6
@@ -218,6 +225,14 @@ fault(
     "A heartbeat every 200 ms.",
     heartbeat=lambda self, heartbeat: heartbeat() if beats(self) % 2 == 0 else None,
 )
+fault("heartbeats-never", "Not one heartbeat.", heartbeat=lambda self, _: None)
+fault(
+    "boots",
+    "It boots for `after` s: until then it neither hears nor sends.",
+    receive=lambda self, receive, *given: receive(*given) if self.seconds >= self.after else None,
+    advance=_booting,
+)
+fault("deaf", "It hears nothing, and sends its heartbeats.", receive=lambda self, *_: None)
 fault("tid-zero", "Replies have tid 0.", answer=_answers_with(lambda tid: 0))
 fault("tid-other", "Replies have the next request's tid.", answer=_answers_with(lambda tid: tid % 0xFFFF + 1))
 
@@ -364,6 +379,12 @@ def _is_here(self: Any, _: object, node: int) -> bool:
 
 
 fault(
+    "nodes-silent",
+    "HELLO says 255 nodes; only one is there, and nobody answers for the others.",
+    hello_fields=told(nodes=255),
+    receive=lambda self, receive, message, host: receive(message, host) if self.is_here(message.node) else None,
+)
+fault(
     "nodes-255",
     "HELLO says 255 nodes, and each of them answers.",
     is_here=_is_here,
@@ -398,6 +419,13 @@ SIX_HUNDRED = tuple(
     Channel(number, f"c{number}", Raw.U8, Unit.NONE, Flag(0), 1.0, lambda s: s.index % 256) for number in range(1, 601)
 )
 fault("no-channels", "It has parameters only.", words=lambda self, _, words: replace(words, channels=()))
+fault(
+    "on-request",
+    "Every channel is streamed on request only.",
+    words=lambda self, _, words: replace(
+        words, channels=tuple(replace(row, flags=row.flags | Flag.ON_REQUEST) for row in words.channels)
+    ),
+)
 fault("channels-600", "600 channels of a byte.", words=lambda self, _, words: replace(words, channels=SIX_HUNDRED))
 fault(
     "descriptor-endless",

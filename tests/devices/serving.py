@@ -5,12 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from tests.devices.carriers import IN_REAL_TIME
 from tests.devices.device import Device
 from tests.devices.faults import build
-from tests.devices.virtual import VirtualLink, turn
+from tests.devices.virtual import SharedLink, VirtualLink, turn
 from tests.devices.vocabulary import VOCABULARIES, Vocabulary
 
 PWM_HZ = {"slcan": 500, "virtual": 250, "CAN": 500}
@@ -63,3 +64,25 @@ def serving(
         device.carrier.close()
     if failures:
         raise failures[0]
+
+
+@contextmanager
+def twins(
+    carrier: str, *serials: str, interleaved: bool = False, joins: float = 0.0, **options: Any
+) -> Iterator[list[Device]]:
+    """Devices of these serial numbers that all are node 1 of one link, in virtual time.
+
+    They have not booted at once; from the second on they come `joins` s after the first.
+    `device.link` is the link of all.
+    """
+    link = SharedLink({"bytes": False, "CAN": True}[carrier], interleaved)
+    for k, serial in enumerate(serials):
+        words = replace(VOCABULARIES["full"], serial=serial)
+        given = {"pwm_hz": PWM_HZ.get(carrier, 1000), "clock": link.clock} | options
+        device = build(words, ["boots"] if k and joins else [], **given | ({"after": joins} if k else {}))
+        device._born -= 0.037 * k
+        device.link = link
+        device.attach(link.carrier_of())
+        device.carrier.port.target = link.port.target  # type: ignore[union-attr]
+        link.devices.append(device)
+    yield link.devices

@@ -12,7 +12,7 @@ import os
 from protocol.canmap.frame import CAN_RECORD
 from protocol.canmap.host import CanWire
 from protocol.links.base import MAX_READ
-from protocol.wire import ByteWire, HostWire
+from protocol.wire import PATIENCE, ByteWire, HostWire
 from tests.devices.carriers import CLASSIC, STOP_FRAME, ByteCarrier, CanCarrier
 from tests.devices.device import Device
 
@@ -62,6 +62,7 @@ class VirtualLink:
         self.device: Device  # set when it has been made with this link's clock
         self._now = 0.0
         self._can = can
+        self.patience, self.delay = PATIENCE, 0.0  # of a byte link: those of a serial port are its own
 
     def clock(self) -> float:
         """Virtual seconds."""
@@ -69,7 +70,7 @@ class VirtualLink:
 
     def wire(self) -> HostWire:
         """See `Link.wire`."""
-        return CanWire(CLASSIC) if self._can else ByteWire()
+        return CanWire(CLASSIC) if self._can else ByteWire(patience=self.patience, delay=self.delay)
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`."""
@@ -91,15 +92,47 @@ class VirtualLink:
 
     def _pass(self, seconds: float) -> None:
         self._now += seconds
+        self._turn()
+
+    def _turn(self) -> None:
         turn(self.device)
 
     def write(self, data: bytes) -> None:
         """See `Link.write`."""
         self.port.to_device += data
-        turn(self.device)
+        self._turn()
 
     def close(self) -> None:
         """Time then stands still."""
 
     def reopen(self) -> None:
         """It is there."""
+
+
+class SharedLink(VirtualLink):
+    """Several devices on one link: each takes what the host writes, and the host gets what each of them sends.
+
+    Messages of different devices do not overlap in time, but on a CAN bus with `interleaved` their frames take turns.
+    """
+
+    def __init__(self, can: bool, interleaved: bool = False) -> None:
+        super().__init__(can)
+        self._interleaved = interleaved
+        self.ports: list[MemoryPort] = []
+        self.devices: list[Device] = []
+
+    def carrier_of(self) -> ByteCarrier | CanCarrier:
+        """What the next device works on."""
+        self.ports.append(MemoryPort(bounded=not self._can))
+        return (CanCarrier if self._can else ByteCarrier)(self.ports[-1])  # type: ignore[arg-type]
+
+    def _turn(self) -> None:
+        for device, port in zip(self.devices, self.ports, strict=True):
+            port.to_device += self.port.to_device
+            turn(device)
+        self.port.to_device.clear()
+        size = CAN_RECORD.itemsize if self._interleaved else 1 << 20
+        while any(port.to_host for port in self.ports):
+            for port in self.ports:
+                self.port.to_host += port.to_host[:size]
+                del port.to_host[:size]

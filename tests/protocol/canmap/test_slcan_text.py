@@ -162,7 +162,8 @@ LINES = st.tuples(
 def test_rubbish_is_read_as_the_rules_say(text: bytes, cut: int) -> None:
     parser = SlcanParser()
     count = sum(len(parser.feed(piece, 0.0)) for piece in (text[:cut], text[cut:]))
-    lines = re.findall(rb"([^\r\a]*)([\r\a])", text)
+    lines = re.findall(rb"([^\r\n\a]*)(\r\n|[\r\n\a])", text)
+    lines = [(line, end if end == b"\a" else b"\r") for line, end in lines]
     ended = [line for line, end in lines if end == b"\r"]
     belled = [line for line, end in lines if end == b"\a"]
     assert count == sum(map(is_frame, ended))
@@ -170,6 +171,26 @@ def test_rubbish_is_read_as_the_rules_say(text: bytes, cut: int) -> None:
         b"\a" if end == b"\a" else line for line, end in lines if end == b"\a" or is_reply(line)
     ]
     assert parser.malformed == sum(map(bool, belled)) + sum(not is_frame(x) and not is_reply(x) for x in ended)
+
+
+@given(st.lists(frames(), max_size=12), st.sampled_from([b"\r\n", b"\n"]), st.integers(1, 40))
+def test_lines_may_end_as_println_ends_them(sent: list[Records], end: bytes, step: int) -> None:
+    """However the bytes are cut: a carriage return and its line feed may come apart. An empty line is one answer."""
+    parser = SlcanParser()
+    text = b"".join(text_of(frame)[:-1] + end + end for frame in sent)
+    pieces = [parser.feed(text[k : k + step], 0.0) for k in range(0, len(text), step)]
+    assert joined(pieces).tobytes() == joined(sent).tobytes()
+    assert [reply.text for reply in parser.replies] == [b""] * len(sent)
+    assert parser.malformed == 0
+
+
+def test_the_first_line_that_cannot_be_read_is_kept() -> None:
+    parser = SlcanParser()
+    parser.feed(b"t0010\rReady: CAN at 500k\r\nt00X0\rdone\r", 0.0)
+    assert (parser.malformed, parser.strange) == (3, b"Ready: CAN at 500k")
+    other = SlcanParser()
+    other.feed(b"t00X0\r", 0.0)
+    assert other.strange == b"t00X0"
 
 
 def test_bit_rates_are_those_of_python_can() -> None:

@@ -1,0 +1,43 @@
+"""Which other programs have a serial port open, on Linux: one that reads it without a lock takes bytes away."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+PROC = Path("/proc")
+
+
+def rivals(port: str) -> list[str]:
+    """Other programs that have `port` open, as "cat (pid 4711)"; those of other users only if this one may look.
+
+    The other end of a pty, which may have its port open to keep it alive, is none. Nothing but on Linux.
+    """
+    try:
+        wanted = os.stat(port).st_rdev
+        processes = sorted(int(entry.name) for entry in PROC.iterdir() if entry.name.isdecimal())
+    except OSError:
+        return []
+    found = []
+    for pid in processes:
+        if pid != os.getpid() and _has_open(PROC / str(pid), port, wanted):
+            with suppress(OSError):
+                found.append(f"{(PROC / str(pid) / 'comm').read_text().strip()} (pid {pid})")
+    return found
+
+
+def _has_open(process: Path, port: str, wanted: int) -> bool:
+    index = os.path.realpath(port).removeprefix("/dev/pts/")
+    there = False
+    with suppress(OSError):  # another user's, or it has ended
+        for entry in (process / "fd").iterdir():
+            with suppress(OSError):
+                place = os.readlink(entry)
+                if (
+                    place.endswith("/ptmx")
+                    and f"tty-index:\t{index}\n" in (process / "fdinfo" / entry.name).read_text()
+                ):
+                    return False
+                there |= place.startswith("/dev/") and os.stat(entry).st_rdev == wanted
+    return there

@@ -1,0 +1,100 @@
+"""Two devices that answer as one node are named, and neither is energised; a reboot is still called one."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from against import ACCEPT, HALL, INFO, LOOK, SPIN, WATCH, bench
+
+from tests.choice import sampled
+from tests.devices import serving
+from tests.devices.device import Device
+from tests.devices.serving import twins
+from tests.devices.spec import State
+
+COMMANDS = {"info": INFO, "devices": "devices TARGET", "spin": SPIN, "watch": WATCH, "hall": HALL, "passive": LOOK}
+COMMANDS |= {"accept": ACCEPT, "conform": "conform TARGET --level 1"}
+LINKS = {"bytes": ("bytes", False), "CAN": ("CAN", False), "CAN, frames in turn": ("CAN", True)}
+NAMED = r"two devices answer as node 1 on \S+ \(serial LEFT-1 and RIGHT-2\): give one another number"
+BY_BOOT = NAMED.replace("serial LEFT-1 and RIGHT-2", "boot [0-9a-f]{8} and [0-9a-f]{8}")
+EVERY = [(command, link) for command in COMMANDS for link in LINKS]
+LONGER = SPIN.replace("0.8", "2.5")
+
+
+def energised(devices: list[Device]) -> list[str]:
+    return [device.vocabulary.serial for device in devices if device.seen["START"] or device.outputs_on]
+
+
+@pytest.mark.parametrize(("command", "link"), sampled("twins", EVERY, 8, campaign="links"))
+def test_two_devices_of_one_number_are_named_and_nothing_is_energised(
+    command: str, link: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where frames of both take turns no HELLO reply comes whole: then only their boot_ids are known."""
+    carrier, in_turn = LINKS[link]
+    with twins(carrier, "LEFT-1", "RIGHT-2", interleaved=in_turn) as devices:
+        ran = bench(COMMANDS[command], devices[0], capsys)
+    assert ran.code == 2, ran.text
+    assert len(re.findall(BY_BOOT if in_turn else NAMED, ran.text)) == 1, ran.text
+    assert "reboot" not in ran.text
+    assert not any(device.seen["ARM"] for device in devices)
+
+
+@pytest.mark.parametrize("carrier", ["bytes", "CAN"])
+@pytest.mark.parametrize("serials", [("", ""), ("A", ""), ("A", "B", "C")])
+def test_they_are_named_as_far_as_they_tell(
+    serials: tuple[str, ...], carrier: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with twins(carrier, *serials) as devices:
+        ran = bench(INFO, devices[0], capsys)
+    boots = " and ".join(sorted(f"{device.boot_id:08x}" for device in devices))
+    named = "3 devices answer as node 1" if len(serials) > 2 else rf"\(boot {boots}\)"
+    assert re.search(named, ran.text), ran.text
+
+
+JOINING = [(carrier, joins) for carrier in ("bytes", "CAN") for joins in (0.6, 1.0, 1.37, 2.0)]
+
+
+@pytest.mark.parametrize(("carrier", "joins"), sampled("joining", JOINING, 3, campaign="links"))
+def test_one_that_joins_a_run_stops_it(carrier: str, joins: float, capsys: pytest.CaptureFixture[str]) -> None:
+    with twins(carrier, "LEFT-1", "RIGHT-2", joins=joins) as devices:
+        ran = bench(LONGER, devices[0], capsys)
+        ended = devices[0].link.clock()
+    assert ran.code == 1, ran.text
+    assert re.search(f"result +{NAMED}", ran.text), ran.text
+    assert "reboot" not in ran.text.replace("link, reboots", "")
+    assert ended - joins < 1.5
+    assert [device.state for device in devices] == [State.IDLE] * 2  # by STOP: neither has tripped
+    assert devices[0].seen["STOP"]
+
+
+@pytest.mark.parametrize("carrier", ["bytes", "CAN"])
+@pytest.mark.parametrize("command", ["spin", "accept", "hall"])
+def test_a_reboot_is_a_reboot(command: str, carrier: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with serving("full", ["reboots"], carrier, after=0.3) as device:
+        ran = bench(COMMANDS[command], device, capsys)
+    assert ran.code == 1, ran.text
+    assert "the drive has rebooted" in ran.text
+    assert "two devices" not in ran.text
+    assert not device.outputs_on
+
+
+@pytest.mark.parametrize("carrier", ["bytes", "CAN"])
+def test_a_drive_that_boots_again_and_again_is_one_device(
+    carrier: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also with boot_ids that come back, such as those of a counter of one bit."""
+    with serving("full", [], carrier) as device:
+        advance, boots = device.advance, [7, 8]
+
+        def booting() -> None:
+            if device.seconds > 0.7:
+                device.boot()
+                device.boot_id = boots[0]
+                boots.reverse()
+            advance()
+
+        device.advance = booting  # type: ignore[method-assign]
+        ran = bench(WATCH.replace("0.4", "4"), device, capsys)
+    assert "two devices" not in ran.text
+    assert "has rebooted" in ran.text
