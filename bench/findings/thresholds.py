@@ -27,6 +27,10 @@ SEEN_FOR = 0.5
 """s of samples from which on a run's position error and back-EMF are judged."""
 LONG_ENOUGH = 1.0
 """s at a speed before it is judged: a start takes some tenths."""
+KNOWN_FOR = 0.1
+"""Of the last third at a speed, over which it must be known to be judged: what was lost may be a tenth as well."""
+LOST_SHARE = 0.05
+"""Share of the samples, or edges, that are lost, from which on a result says so: the others show a healthy run as well."""
 
 # -- turns by Hall sensors and by encoder --------------------------------------------------------------------------
 

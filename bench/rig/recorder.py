@@ -84,5 +84,10 @@ class Recorder:
         """Samples and edges so far."""
         return sum(len(c) for c in self._samples), sum(len(c) for c in self._edges)
 
+    @property
+    def seconds(self) -> float:
+        """Device time from the first sample to the newest, whatever was lost between them."""
+        return (self.newest - int(self._samples[0].tick[0])) / self.tick_hz if self._samples else 0.0
+
     def _at(self, tick: int) -> str:
         return f"{tick / self.tick_hz:.4f} s"
