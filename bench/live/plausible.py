@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from bench.device.heard import Heard
+from bench.findings.beats import Beats
 from bench.findings.finding import Finding
 from bench.findings.motion import BY_ENCODER, BY_ESTIMATE, BY_HALL, Currents, Look, NotFinite, SpeedHeld, far_off
 from bench.findings.motor import MotorValues
@@ -51,12 +52,15 @@ class Plausibility:
         self._names = {channel.name for channel in channels}
         self._n_p = pole_pairs(parameters)
         self._theta = reference_angle(channels)
+        self._both = any(channel.name == self._theta and channel.flags & Flag.ESTIMATE for channel in channels)
         self._omega = flagged(channels, Unit.RAD_PER_S, Flag.REFERENCE)
         self._by = BY_ENCODER if self._omega else BY_HALL if edges else BY_ESTIMATE
         if not self._omega and not edges:
             self._omega = speed_channel(channels, parameters)
         i_max = parameters.get("i_max", math.inf)
-        self._passed = Passed(stream.node, stream.tick_hz)
+        self._passed, self._beats = Passed(stream.node, stream.tick_hz), Beats(stream.node, stream.tick_hz)
+        self.commanded = True
+        """Whether the drive is told what to do: what it does after STOP is not judged."""
         self.speed, self._currents = SpeedHeld(self._by, self._n_p or 1, i_max), Currents(i_max)
         self._not_finite = NotFinite()
         self.motor = MotorValues(stream, parameters)
@@ -70,13 +74,15 @@ class Plausibility:
         """Follow the Hall sensors from sector to sector; take in what was sampled while the drive was running."""
         self.hall.take(item)
         self._passed.take(item)
+        self._beats.take(item)
         if isinstance(item, SampleChunk) and item.config.node == self._drive:
             self._samples_came(item)
 
     def _samples_came(self, chunk: SampleChunk) -> None:
         seconds, sectors = self._passed.up_to(int(chunk.tick[-1]))
         self._not_finite.add(chunk)
-        if last_state(chunk) not in (None, DriveState.RUNNING):
+        state = last_state(chunk)
+        if state != DriveState.RUNNING and (state is not None or not self.commanded):
             return
         self._currents.add(chunk)
         self.motor.add(chunk)
@@ -115,12 +121,17 @@ class Plausibility:
     def implausible(self, errors: ErrorTable) -> list[Finding]:
         """What cannot be right for a healthy drive, each with its numbers; `errors`: position errors of the run."""
         return [
+            *self._beats.findings(),
             *self._not_finite.findings(),
             *self.causes(),
             *self.speed.findings(),
             *far_off(errors, self._rate),
             *self._currents.findings(),
         ]
+
+    def at_rest(self) -> list[Finding]:
+        """The same of a drive that was only watched."""
+        return [*self._beats.findings(), *self.hall.findings()]
 
     def causes(self) -> list[Finding]:
         """What is set or wired wrongly, by what the shaft showed as it turned; also of a run that ended in a trip."""
@@ -133,6 +144,8 @@ class Plausibility:
         unseen, pieces = [], self.hall.pieces
         if not self._theta:
             unseen.append("position error (no angle with the flag REFERENCE)")
+        elif self._both:
+            unseen.append(f"position error of {self._theta} (it has the flags ESTIMATE and REFERENCE: no other tells)")
         elif pieces.too_fast and self._edges and self.hall.turned < LEAST_TURNS:
             unseen.append("Hall sensors against the encoder (too few samples in an electrical revolution)")
         if pieces.too_late:

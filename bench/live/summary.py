@@ -19,7 +19,7 @@ from bench.files import finite
 from bench.findings.motion import Came
 from bench.report.words import number
 from bench.signal.percentiles import Percentiles
-from bench.signal.position import ErrorTable, Moments, position_errors, running
+from bench.signal.position import ErrorTable, Moments, position_errors, running, states
 from bench.view import markdown
 from bench.view.schema import label
 from protocol.codes import fault_names
@@ -40,6 +40,8 @@ class RunStatistics:
     def __init__(self, drive: int, observers: HostObservers | None = None) -> None:
         self.drive = drive
         self.segment = "run"
+        self.commanded = True
+        """Whether the drive is told what to do: what it does after STOP is no figure of the run."""
         self.errors = ErrorTable()
         self.samples_seen = 0
         self.first_sample_unix: float | None = None  # s, wall clock: how long a start took
@@ -74,7 +76,7 @@ class RunStatistics:
         if self.first_sample_unix is None:
             self.first_sample_unix = time.time()
         errors = position_errors(chunk)
-        if errors:
+        if errors and (self.commanded or states(chunk) is not None):
             runs = running(chunk)
             self.errors.add(self.segment, {name: values[runs] for name, values in errors.items()})
         if self._observers is not None:

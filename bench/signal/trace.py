@@ -22,6 +22,7 @@ from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
 from bench.signal.chunks import BEGIN, as_bytes, contiguous, streams_none
 from bench.signal.position import running
+from bench.signal.records import Records
 from bench.signal.windows import Window, windows
 from protocol.streams import EdgeChunk, SampleChunk
 
@@ -114,6 +115,8 @@ class Trace:
         """s from sample to sample."""
         self.changed = np.zeros((8, 8), np.int64)
         """(8, 8) how many edges there are, of all, from each code to each."""
+        self.records = Records()
+        """What edges and the channel `hall` tell of each other."""
         self.ticks = self.lost_edges = 0
         """Device time that is known, see `seconds`; and edges that were lost."""
         self._end: int | None = None  # tick of the last sample
@@ -176,6 +179,7 @@ class Trace:
         edges = self._add_edges(capture, theta, omega)
         self.samples += own.stop - own.start
         self._cover(capture, own)
+        self.records.add(capture, own, hall if "hall" in capture else None)
         return edges
 
     def _steps(self, tick: Ints, own: slice) -> Floats:

@@ -20,7 +20,7 @@ LOSES = (MessageType.DATA, MessageType.EDGES, MessageType.HEARTBEAT)
 
 @dataclass(frozen=True)
 class Losses:
-    """Shares of frames that are lost, errors a bit, and spans of the link's clock, s, in which no stream frame comes."""
+    """Shares of frames that are lost, errors a bit, and spans of the link's clock, s, without stream frames."""
 
     samples: float = 0.0
     edges: float = 0.0
@@ -41,7 +41,9 @@ class LosingLink(WatchedLink):
         data = super().read(timeout, settle)
         can = isinstance(self.wire(), CanWire)
         kinds = ((frame, kind_of(frame, can)) for frame in frames(data, can))
-        return b"".join(self._damaged(frame, can) if kind in LOSES else frame for frame, kind in kinds if self._comes(kind))
+        return b"".join(
+            self._damaged(frame, can) if kind in LOSES else frame for frame, kind in kinds if self._comes(kind)
+        )
 
     def _comes(self, kind: int) -> bool:
         losses, now = self.losses, self.clock()

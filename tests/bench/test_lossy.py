@@ -48,8 +48,11 @@ def case(number: int) -> Case:
     return Case(dice.choice(("bytes", "bytes", "CAN FD")), config, losses, rpm, dice.uniform(1.2, 6.0), number)
 
 
-REPORTED = {f"{rpm:g} r/min, {losses}": Case("bytes", NO_ENCODER, losses, rpm, 3.5, 1)
-            for rpm in (100.0, 20.0) for losses in (Losses(samples=0.25), Losses(samples=0.45), Losses(bits=5e-4))}  # fmt: skip
+REPORTED = [
+    Case("bytes", NO_ENCODER, losses, rpm, 3.5, 1)
+    for rpm in (100.0, 20.0)
+    for losses in (Losses(samples=0.25), Losses(samples=0.45), Losses(bits=5e-4))
+]
 
 
 def _accuses_nobody(of: Case) -> None:
@@ -57,13 +60,15 @@ def _accuses_nobody(of: Case) -> None:
     ended = run(link, duration=of.seconds, speed_rpm=of.rpm, fit=True)
     summary = ended.summary
     assert "implausible" not in summary.result, of
-    assert "ran away" not in summary.result and not summary.faults, of
+    assert "ran away" not in summary.result, of
+    assert not summary.faults, of
     [came] = summary.asked
     if came.speed_came_rpm == came.speed_came_rpm and of.seconds > 2.0:
-        assert came.speed_came_rpm == pytest.approx(of.rpm, rel=0.1, abs=6.0), of
+        few = of.config and of.losses != Losses(samples=of.losses.samples)  # sectors that are 10 % too wide or narrow
+        assert came.speed_came_rpm == pytest.approx(of.rpm, rel=0.25 if few else 0.05, abs=6.0), of
 
 
-@pytest.mark.parametrize("of", REPORTED.values(), ids=REPORTED)
+@pytest.mark.parametrize("of", REPORTED)
 def test_speed_by_edges_is_by_the_drives_clock(of: Case) -> None:
     _accuses_nobody(of)
 
