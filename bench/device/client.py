@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass, field
 from typing import TypeVar
 
-from bench.device.heard import Chunk, ClockRestarted, Heard, Missing, Note, Sink
+from bench.device.heard import Chunk, ClockRestarted, Heard, Misdated, Missing, Note, Sink
 from bench.device.losses import Continuity
 from protocol.errors import LinkClosed, LinkError, NoReply, Refused
 from protocol.host import (
@@ -46,7 +46,7 @@ from protocol.messages import (
     Request,
     StreamEvent,
 )
-from protocol.streams import Beat, LossCounters, StreamConfig
+from protocol.streams import Beat, LossCounters, StreamConfig, WrongTime
 from protocol.text import counted
 from protocol.wire import Decoder, StreamFrames
 
@@ -59,6 +59,7 @@ POLL = 0.02  # s: how long one turn waits for bytes
 SETTLE = 0.02  # s: how long a turn goes on collecting once bytes come
 REOPEN_PERIOD = 0.1  # s between attempts to open a link that went away
 QUIET = 1.0  # s without a stream frame after which none is under way; a CAN device gives them up after 0.5 s
+FEW = 5  # times that something of one kind is told each time
 FLUSH = 10.0  # s that a device is given to send what waited at STREAM_STOP: 64 KiB at 115200 baud, and some
 
 
@@ -145,6 +146,8 @@ class Client:
         """Stream frames of streams that were not configured from here, or no longer are."""
         self.longest_pause = 0.0
         """The longest time in s in which this program did not poll, since somebody set this to 0."""
+        self.misdated: dict[str, int] = {}
+        """How often something was dated as it cannot be, by what it was."""
         self.beside: list[Client] = []
         """Of other links of the same bench."""
         self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
@@ -276,6 +279,8 @@ class Client:
             self.session.tick(now)
             while (event := self.session.next_event()) is not None:
                 self._dispatch(event, now)
+            for node, wrong in self.session.wrong_times():
+                self._misdated(node, wrong)
             self._feed_watchdogs(now)
             self._flush()
         except LinkError as error:
@@ -344,11 +349,19 @@ class Client:
 
     def _heard_at(self, node: int, stream: int | None, tick: int) -> None:
         """Device time has come to `tick`, by a stream or by heartbeats: those of one overlap a little, no more."""
-        clock = self._clocks.setdefault(node, {})
-        if self.hello is not None and tick + self.hello.tick_hz < clock.get(stream, 0):
-            self.tell(ClockRestarted(node, max(clock.values()), rebooted=False))
-            clock.clear()
-        clock[stream] = tick
+        self._clocks.setdefault(node, {})[stream] = tick
+
+    def _misdated(self, node: int, wrong: WrongTime) -> None:
+        """Tell it, of what comes again and again more and more seldom."""
+        count = self.misdated[wrong.what] = self.misdated.get(wrong.what, 0) + 1
+        if self.hello is None or (count > FEW and count & (count - 1)):
+            return
+        way = "ahead of" if wrong.by > 0.0 else "behind"
+        at = wrong.tick / self.session.tick_reference(node).tick_hz
+        more = f" ({count} times so far)" if count > FEW else ""
+        text = f"node {node}: {wrong.what} dated {abs(wrong.by):.3f} s {way} {at:.3f} s, the time that it was{more}"
+        self.note(text, "WARN")
+        self.tell(Misdated(wrong.tick, node, text))
 
     def _seen(self, node: int, now: float) -> None:
         self._watches.setdefault(node, _Watch()).last_seen = now

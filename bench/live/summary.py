@@ -14,7 +14,7 @@ from bench.device.bus import bus_rows
 from bench.device.client import WATCHDOG, Client
 from bench.device.counters import DeviceCounters
 from bench.device.description import describe
-from bench.device.heard import Heard
+from bench.device.heard import Heard, Misdated
 from bench.files import finite
 from bench.findings.motion import Came
 from bench.report.words import number
@@ -50,6 +50,8 @@ class RunStatistics:
         self.device = DeviceCounters()
         self.host_compared = 0
         self.host_differ = 0
+        self.wrong_times: list[str] = []
+        """What the drive dated as it cannot be."""
         self.mean: dict[str, float] = {}  # over the last chunk
         self._observers = observers
         self._newest = 0  # tick of the newest sample since the heartbeat before, 0: none came
@@ -66,6 +68,8 @@ class RunStatistics:
                     self._observers.edges(item)
             case HeartbeatReceived(node=self.drive, heartbeat=heartbeat):
                 self._heartbeat(heartbeat)
+            case Misdated(node=self.drive, text=text):
+                self.wrong_times.append(text)
             case DeviceEventReceived(node=self.drive, event=event):
                 self.faults |= event.faults
 
@@ -96,7 +100,10 @@ class RunStatistics:
             self._newest = 0
 
     def misdated(self, tick_hz: int) -> str:
-        """What is wrong with the samples' times by the drive's own clock; '' if nothing is."""
+        """What is wrong with the times that the drive tells; '' if nothing is."""
+        if self.wrong_times:
+            more = len(self.wrong_times) - 1
+            return self.wrong_times[0] + (f", and {more} more" if more else "")
         least, most = (age / tick_hz for age in self._ages or (0, 0))
         if most >= -MISDATED and least <= MISDATED:
             return ""

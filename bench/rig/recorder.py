@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bench.device.counters import DeviceCounters
-from bench.device.heard import Heard, Missing
+from bench.device.heard import Heard, Misdated, Missing
 from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.chunks import LostStretches, between, join, no_edges
@@ -45,6 +45,8 @@ class Recorder:
                 self.device.add(heartbeat)
             case Missing(node=self._drive, samples=samples, edges=edges):
                 self.dropped += self._lost.at_the_end(samples, edges, self.tick_hz)
+            case Misdated(tick, self._drive, text):
+                self.dropped.append((tick, tick, text))
 
     # -- for the rig --------------------------------------------------------------------------------------------
 
