@@ -110,7 +110,7 @@ def _notes(content: Content, writer: Any, files: Mapping[str, Path], out: Path) 
             "renames or loses one: choose one with --channels" for names in alike.values() if len(names) > 1
         ]  # fmt: skip
     for restarted in (restarted for restarts in run.restarts.values() for restarted in restarts):
-        how = "rebooted" if restarted.rebooted else "has a clock that went back without a reboot"
+        how = "has a clock that went back without a reboot" if restarted.tick in run.leaps else "rebooted"
         notes.append(f"the device {how} after {run.at(restarted.tick)}: its time restarts there")
     if not run.ended:
         notes.append(f"warning: {run.path} has no end: it was interrupted, or is still recording")

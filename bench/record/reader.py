@@ -93,6 +93,8 @@ class Run:
         self.path = path
         self.damage: list[str] = []
         """What is not as it was written, as far as it was looked at: what, where, and the time that it costs."""
+        self.leaps: set[int] = set()
+        """Ticks after which the time of a stream leaps though its index goes on, as far as they were read."""
         self._data = b""
         self._configs: dict[int, StreamConfig] = {}
         self._numbers: dict[str, int] = {}
@@ -329,6 +331,7 @@ class Run:
         for k in np.flatnonzero(np.abs(off) > OFF * self.info.tick_hz + OFF_SHARE * np.abs(due))[:MOST_LEAPS].tolist():
             leap = f"the time leaps by {off[k] / self.info.tick_hz:+.3f} s after {self.at(int(tick[k]))}"
             self._note_damage(f"{stream}: {leap}; nothing is left out")
+            self.leaps.add(int(tick[k]))
 
     def chunk(
         self, stream: str, first: int = BEGIN, last: int = END, channels: Collection[str] | None = None
