@@ -44,6 +44,8 @@ AHEAD, BEHIND = 1.0, 1.0
 """s by which a tick may be later than the host's clock makes it, and earlier than the newest."""
 DRIFT, RECENT = 0.1, 5.0
 """By which the two clocks may differ, as a share, and s over which what came the soonest tells how they stand."""
+FRESH = 0.15
+"""s for which the newest tick stands for one that cannot be: until the next heartbeat, and some."""
 QUEUED = 30.0
 """s that edges may have waited in the device before the first one comes, and the heartbeats have gone on."""
 JUMPED = 3
@@ -112,7 +114,9 @@ class TickReference:
         if not hz or self._zero is None or self.tick - behind * hz <= tick <= self.latest:
             self._believe(tick if behind == BEHIND else max(tick, self.tick))
             return tick
-        expected = max(self.tick, round(max(self._zero) + self.now * hz))
+        expected = round(max(self._zero) + self.now * hz)
+        if expected - self.tick < FRESH * hz:  # by what came just now it has come so far; further is not sure
+            expected = self.tick
         off, alike = self._doubted
         alike = alike + 1 if alike and abs(tick - expected - off) < hz else 1
         self._doubted = tick - expected, alike
@@ -416,6 +420,7 @@ class SampleDecoder(_Sequence):
         self._next_tick: int | None = None
         self._dated_index = 0  # of the sample at `_next_tick`
         self._off: int | None = None  # how far off the last frame's tick was, if it was
+        self._shift = 0  # of the reference, with which the last frame was dated
 
     def _dated(self, index: int, tick32: int, n: int) -> int:
         """Return the tick of a frame's first sample: as it says, unless its index says that this cannot be."""
@@ -430,6 +435,12 @@ class SampleDecoder(_Sequence):
                 expected, most = since if abs(since - reference.tick) < BEHIND * hz else reference.tick, OFF * hz
         tick = reference.unwrap_one(tick32, expected)
         off = tick - expected
+        if reference.shift != self._shift and abs(off) <= most < math.inf:  # known by a heartbeat: the index knows more
+            reference.shift += off
+            tick, off = expected, 0
+        self._shift = reference.shift
+        if abs(off) > most and abs(_signed32(off + reference.shift)) <= most:  # only heartbeats have jumped
+            tick = expected + (off := _signed32(off + reference.shift))
         if abs(off) <= most or not reference.tick_hz:
             self._off = None
         else:
@@ -480,6 +491,10 @@ class EdgeDecoder(_Sequence):
         newest = reference.tick if last is None else last
         for k, tick in enumerate(ticks.tolist()):
             if not first <= tick <= reference.latest:
+                as_it_was = reference.tick + _signed32(tick + reference.shift - reference.tick)
+                if first <= as_it_was <= reference.latest:  # only heartbeats have jumped
+                    dated[k] = first = newest = as_it_was
+                    continue
                 if not first <= tick - self._off <= reference.latest:
                     self._off = tick - newest
                     reference.doubt(newest, "Hall edges", self._off)
