@@ -8,7 +8,7 @@ arrives damaged, late or unasked is counted and dropped. This module never sleep
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from protocol.errors import DeviceDefect, HbpError, LocalProtocolError
@@ -31,7 +31,7 @@ from protocol.messages import (
     Request,
     TimeSyncReply,
 )
-from protocol.streams import StreamConfig, TickReference
+from protocol.streams import QUEUED, StreamConfig, TickReference, WrongTime
 from protocol.validity import check_reply
 from protocol.wire import ByteWire, Decoder, HostWire, StreamFrames
 
@@ -187,6 +187,7 @@ class HostSession:
         self._out: list[bytes] = []
         self._pending: _Pending | None = None
         self._tid = 0
+        self._now = 0.0
 
     @property
     def busy(self) -> bool:
@@ -195,7 +196,16 @@ class HostSession:
 
     def tick_reference(self, node: int) -> TickReference:
         """Return the node's tick reference, kept fresh by its heartbeats and TIME_SYNC replies."""
-        return self._references.setdefault(node, TickReference())
+        if node not in self._references:
+            self._references[node] = TickReference(now=self._now)
+        return self._references[node]
+
+    def wrong_times(self) -> list[tuple[int, WrongTime]]:
+        """Return and forget what was dated as it cannot be, with its node."""
+        found = [(node, wrong) for node, reference in self._references.items() for wrong in reference.wrong]
+        for _, reference in self._references.items() if found else ():
+            reference.wrong.clear()
+        return found
 
     def connect(self, nonce: int, now: float, node: int = 0, delay: float = 0.0) -> int:
         """Say HELLO until it is answered, for the first time after `delay` s; return the tid.
@@ -263,6 +273,9 @@ class HostSession:
 
     def receive_data(self, data: bytes, now: float) -> None:
         """Take bytes from the link, cut anywhere."""
+        for reference in self._references.values():
+            reference.now = now
+        self._now = now
         for item in self.wire.feed(data, now):
             if isinstance(item, StreamFrames):
                 self._hear(item.node, now)
@@ -307,10 +320,11 @@ class HostSession:
     def _receive_unsolicited(self, node: int, message: Message, now: float) -> None:
         if isinstance(message, Heartbeat):
             self._note_boot(node, message.boot_id, now)
-            self.tick_reference(node).tick = message.tick
-            self._events.append(HeartbeatReceived(node, message))
+            tick = self.tick_reference(node).hear(message.tick, "a heartbeat")
+            self._events.append(HeartbeatReceived(node, replace(message, tick=tick)))
         elif isinstance(message, DeviceEvent):
-            self._events.append(DeviceEventReceived(node, message))
+            tick = self.tick_reference(node).hear(message.tick, "an event", QUEUED)
+            self._events.append(DeviceEventReceived(node, replace(message, tick=tick)))
         elif isinstance(message, Log):
             self._events.append(LogReceived(node, message))
 
@@ -350,8 +364,10 @@ class HostSession:
             self.round_trip = min(smoothed, MAX_ROUND_TRIP)
         if isinstance(message, HelloReply):
             self.hellos[frame.node] = message
+            self.tick_reference(frame.node).tick_hz = message.tick_hz
         elif isinstance(message, TimeSyncReply):
-            self.tick_reference(frame.node).tick = message.tx_tick
+            sent = self.tick_reference(frame.node).hear(message.tx_tick, "the reply to TIME_SYNC")
+            message = replace(message, rx_tick=message.rx_tick - message.tx_tick + sent, tx_tick=sent)
         if pending.connecting and isinstance(message, HelloReply):
             self._events.append(Connected(message))
         else:
@@ -394,6 +410,7 @@ class HostSession:
             self._tell_several(node, {*followed, boot_id}, len(changes) - 1)
             return
         self.wire.forget(node)
+        self.tick_reference(node).restart()
         self._events.append(Rebooted(node, old, boot_id))
 
     def _tell_several(self, node: int, boot_ids: set[int], reboots: int) -> None:

@@ -9,6 +9,7 @@ that came, heartbeats tell (`missing`). This module knows no link, no session an
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -39,6 +40,19 @@ MAX_DECIMATION = 0xFFFF
 EDGE_RECORD = np.dtype([("tick", "<u4"), ("codes", "u1"), ("flags", "u1"), ("encoder", "<u2")])
 EDGE_ILLEGAL = 0x40  # bit of `codes`: old and new are not neighbours, or new is 000 or 111
 
+AHEAD, BEHIND = 1.0, 1.0
+"""s by which a tick may be later than the host's clock makes it, and earlier than the newest."""
+DRIFT, RECENT = 0.1, 5.0
+"""By which the two clocks may differ, as a share, and s over which what came the soonest tells how they stand."""
+FRESH = 0.15
+"""s for which the newest tick stands for one that cannot be: until the next heartbeat, and some."""
+QUEUED = 30.0
+"""s that edges may have waited in the device before the first one comes, and the heartbeats have gone on."""
+JUMPED = 3
+"""Ticks in a row that are wrong alike, with which the counter has jumped."""
+OFF, OFF_SHARE = 0.1, 0.2
+"""s by which a sample's tick may be away from where its index puts it, and share of what was lost before it."""
+
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
@@ -50,25 +64,94 @@ class Beat(NamedTuple):
     edges: int
 
 
+class WrongTime(NamedTuple):
+    """`what` was dated `by` s away from `tick`, the time that it can have, and by which it goes on."""
+
+    tick: int
+    what: str
+    by: float
+
+
 @dataclass(slots=True)
 class TickReference:
     """The newest 64-bit tick known of a device; 32-bit ticks are unwrapped to the value nearest to it.
 
     Heartbeats (10 Hz) and TIME_SYNC keep it fresh. Sound as long as it is within 2^31 ticks (107 s at 20
     MHz). `sampled`: tick of the newest sample delivered of a stream on CAN.
+
+    With `tick_hz` and the host's time `now`, s, of what is being received, a tick that cannot be is put right, and told
+    in `wrong`. A counter that has jumped for good is followed with a `shift`, so that time goes on.
     """
 
     tick: int = 0
     sampled: int = -1
+    tick_hz: int = 0
+    now: float = 0.0
+    shift: int = 0
+    wrong: list[WrongTime] = field(default_factory=list)
+    _zero: tuple[float, float] | None = None  # ticks at host time 0, by what came the soonest of late, and before that
+    _since: float = 0.0  # of late: since then
+    _heard: float = 0.0
+    _doubted: tuple[int, int] = (0, 0)  # how far off the last ones were, and how many in a row, alike
+
+    def restart(self) -> None:
+        """The device has rebooted: its counter begins anew."""
+        self.tick, self.sampled, self.shift, self._zero, self._doubted = 0, -1, 0, None, (0, 0)
+
+    @property
+    def latest(self) -> float:
+        """The latest tick that something which has come by now can have; inf where that is not known."""
+        if self._zero is None:
+            return math.inf
+        return max(self._zero) + (self.now + AHEAD + DRIFT * (self.now - self._heard)) * self.tick_hz
+
+    def hear(self, told: int, what: str, behind: float = BEHIND) -> int:
+        """Take a whole tick that the device tells; return it as the device's time goes on.
+
+        `behind`: s by which it may be older than the newest.
+        """
+        tick, hz = told - self.shift, self.tick_hz
+        if not hz or self._zero is None or self.tick - behind * hz <= tick <= self.latest:
+            self._believe(tick if behind == BEHIND else max(tick, self.tick))
+            return tick
+        expected = round(max(self._zero) + self.now * hz)
+        if expected - self.tick < FRESH * hz:  # by what came just now it has come so far; further is not sure
+            expected = self.tick
+        off, alike = self._doubted
+        alike = alike + 1 if alike and abs(tick - expected - off) < hz else 1
+        self._doubted = tick - expected, alike
+        if alike == 1:
+            self.wrong.append(WrongTime(expected, what, (tick - expected) / hz))
+        if alike == JUMPED:
+            self.wrong.append(WrongTime(expected, "the clock has jumped: all since then", (tick - expected) / hz))
+            self.shift += tick - expected
+            self._believe(expected)
+        self.tick = expected
+        return expected
+
+    def _believe(self, tick: int) -> None:
+        self.tick, self._doubted = tick, (0, 0)
+        if not self.tick_hz:
+            return
+        zero = tick - self.now * self.tick_hz
+        late, before = self._zero or (zero, zero)
+        if self.now - self._since > RECENT:
+            late, before, self._since = zero, late, self.now
+        self._zero, self._heard = (max(late, zero), before), self.now
 
     def unwrap(self, ticks: NDArray[np.uint32]) -> I64:
         """Return 64-bit ticks for 32-bit ones, without changing the reference."""
-        base = np.uint32(self.tick & 0xFFFFFFFF)
+        base = np.uint32(self.tick + self.shift & 0xFFFFFFFF)
         return self.tick + (ticks - base).astype(np.int32).astype(np.int64)
 
-    def unwrap_one(self, tick: int) -> int:
-        """Return the 64-bit tick for one 32-bit one, without changing the reference."""
-        return self.tick + _signed32(tick - self.tick)
+    def unwrap_one(self, tick: int, near: int | None = None) -> int:
+        """Return the 64-bit tick for one 32-bit one, `near` another than the reference; that is not changed."""
+        near = self.tick if near is None else near
+        return near + _signed32(tick - self.shift - near)
+
+    def doubt(self, tick: int, what: str, by: float) -> None:
+        """Tell that `what`, which belongs at `tick`, is dated `by` ticks away from it."""
+        self.wrong.append(WrongTime(tick, what, by / self.tick_hz))
 
 
 @dataclass(frozen=True)
@@ -335,6 +418,37 @@ class SampleDecoder(_Sequence):
         self._ticks_per_sample = config.period_ticks * config.decimation
         super().__init__(config, reference, config.decimation, self._ticks_per_sample)
         self._next_tick: int | None = None
+        self._dated_index = 0  # of the sample at `_next_tick`
+        self._off: int | None = None  # how far off the last frame's tick was, if it was
+        self._shift = 0  # of the reference, with which the last frame was dated
+
+    def _dated(self, index: int, tick32: int, n: int) -> int:
+        """Return the tick of a frame's first sample: as it says, unless its index says that this cannot be."""
+        reference, hz, period = self._reference, self.config.tick_hz, self.config.period_ticks
+        if self._next_tick is not None:
+            lost = (index - self._dated_index) * period
+            expected, most = self._next_tick + lost, OFF * hz + OFF_SHARE * lost
+        else:
+            expected, most = reference.tick, math.inf
+            if reference.unwrap_one(tick32) > reference.latest:  # the first one: by tick 0, if that can be
+                since = self.config.tick0 - reference.shift + index * period
+                expected, most = since if abs(since - reference.tick) < BEHIND * hz else reference.tick, OFF * hz
+        tick = reference.unwrap_one(tick32, expected)
+        off = tick - expected
+        if reference.shift != self._shift and abs(off) <= most < math.inf:  # known by a heartbeat: the index knows more
+            reference.shift += off
+            tick, off = expected, 0
+        self._shift = reference.shift
+        if abs(off) > most and abs(_signed32(off + reference.shift)) <= most:  # only heartbeats have jumped
+            tick = expected + (off := _signed32(off + reference.shift))
+        if abs(off) <= most or not reference.tick_hz:
+            self._off = None
+        else:
+            if self._off is None or abs(off - self._off) > OFF * hz:
+                reference.doubt(expected, "samples", off)
+            self._off, tick = off, expected
+        self._next_tick, self._dated_index = tick + n * self._ticks_per_sample, index + n * self.config.decimation
+        return tick
 
     def missing(self, first: Beat | None, last: Beat) -> int:
         """See `Decoder.missing`: a sample is taken at its tick."""
@@ -347,10 +461,9 @@ class SampleDecoder(_Sequence):
         accepted = self._accept(frames)
         if accepted is None:
             return None
-        starts = [(self._reference.unwrap_one(tick), n) for _, tick, n in accepted.runs]
+        starts = [(self._dated(index, tick, n), n) for index, tick, n in accepted.runs]
         tick = _progressions(starts, self._ticks_per_sample)
         self._reference.tick = int(tick[-1])
-        self._next_tick = int(tick[-1]) + self._ticks_per_sample
         index = accepted.index(self.config.decimation)
         return SampleChunk(self.config, index, tick, accepted.records, accepted.gaps)
 
@@ -360,18 +473,43 @@ class EdgeDecoder(_Sequence):
 
     def __init__(self, config: StreamConfig, reference: TickReference) -> None:
         super().__init__(config, reference, 1, None)
+        self._last_tick: int | None = None
+        self._off = 0  # how far off the ticks of edges are that cannot be
 
     def missing(self, first: Beat | None, last: Beat) -> int:
         """See `Decoder.missing`."""
         return missing_edges(self._next_index, first, last)
+
+    def _dated(self, ticks: I64) -> I64:
+        """Return the ticks as edges can have them: none before the last one, and none later than now."""
+        reference, last = self._reference, self._last_tick
+        first = reference.tick - round(QUEUED * self.config.tick_hz) if last is None else last
+        as_told = first <= ticks[0] and ticks[-1] <= reference.latest and bool((np.diff(ticks) >= 0).all())
+        if as_told or not reference.tick_hz:
+            return ticks
+        dated = ticks.copy()
+        newest = reference.tick if last is None else last
+        for k, tick in enumerate(ticks.tolist()):
+            if not first <= tick <= reference.latest:
+                as_it_was = reference.tick + _signed32(tick + reference.shift - reference.tick)
+                if first <= as_it_was <= reference.latest:  # only heartbeats have jumped
+                    dated[k] = first = newest = as_it_was
+                    continue
+                if not first <= tick - self._off <= reference.latest:
+                    self._off = tick - newest
+                    reference.doubt(newest, "Hall edges", self._off)
+                tick -= self._off
+            dated[k] = first = newest = tick
+        return dated
 
     def decode(self, frames: Sequence[bytes]) -> EdgeChunk | None:
         """Return the edges of `frames` (header + payload each, in order), or None if there are none."""
         accepted = self._accept(frames)
         if accepted is None:
             return None
-        tick = self._reference.unwrap(accepted.records["tick"])
-        self._reference.tick = max(self._reference.tick, int(tick[-1]))
+        tick = self._dated(self._reference.unwrap(accepted.records["tick"]))
+        self._last_tick = int(tick[-1])
+        self._reference.tick = max(self._reference.tick, self._last_tick)
         return unpack_edges(self.config, accepted.records, tick, accepted.index(1), accepted.gaps)
 
 

@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass, field
 from typing import TypeVar
 
-from bench.device.heard import Chunk, ClockRestarted, Heard, Missing, Note, Sink
+from bench.device.heard import Chunk, ClockRestarted, Heard, Misdated, Missing, Note, Sink
 from bench.device.losses import Continuity
 from bench.errors import SeveralDevices
 from protocol.errors import HbpError, LinkClosed, LinkError, NoReply, Refused
@@ -53,7 +53,7 @@ from protocol.messages import (
     StateCommand,
     StreamEvent,
 )
-from protocol.streams import Beat, LossCounters, StreamConfig
+from protocol.streams import Beat, LossCounters, StreamConfig, WrongTime
 from protocol.text import counted
 from protocol.wire import Decoder, StreamFrames
 
@@ -73,6 +73,7 @@ LISTEN = 0.4  # s that it takes to see by heartbeats that two devices are one no
 ANSWER = 2.0  # s that a device which is heard is given to answer, however late it was
 TRIES = 3  # HELLOs to devices of one number, whose answers may have met on the way
 SECOND = 0.03  # s, and two round trips, that a second device may answer HELLO later than the first
+FEW = 5  # times that something of one kind is told each time
 FLUSH = 10.0  # s that a device is given to send what waited at STREAM_STOP: 64 KiB at 115200 baud, and some
 
 
@@ -170,6 +171,8 @@ class Client:
         self.pauses = 0
         """How often it did not for longer than a moment."""
         self._last_pause = (-math.inf, 0.0)  # when it ended, and how long it was, s
+        self.misdated: dict[str, int] = {}
+        """How often something was dated as it cannot be, by what it was."""
         self.beside: list[Client] = []
         """Of other links of the same bench."""
         self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
@@ -349,6 +352,8 @@ class Client:
             self.session.tick(now)
             while (event := self.session.next_event()) is not None:
                 self._dispatch(event, now)
+            for node, wrong in self.session.wrong_times():
+                self._misdated(node, wrong)
             self._feed_watchdogs(now)
             self._flush()
         except LinkError as error:
@@ -435,11 +440,19 @@ class Client:
 
     def _heard_at(self, node: int, stream: int | None, tick: int) -> None:
         """Device time has come to `tick`, by a stream or by heartbeats: those of one overlap a little, no more."""
-        clock = self._clocks.setdefault(node, {})
-        if self.hello is not None and tick + self.hello.tick_hz < clock.get(stream, 0):
-            self.tell(ClockRestarted(node, max(clock.values()), rebooted=False))
-            clock.clear()
-        clock[stream] = tick
+        self._clocks.setdefault(node, {})[stream] = tick
+
+    def _misdated(self, node: int, wrong: WrongTime) -> None:
+        """Tell it, of what comes again and again more and more seldom."""
+        count = self.misdated[wrong.what] = self.misdated.get(wrong.what, 0) + 1
+        if self.hello is None or (count > FEW and count & (count - 1)):
+            return
+        way = "ahead of" if wrong.by > 0.0 else "behind"
+        at = wrong.tick / self.session.tick_reference(node).tick_hz
+        more = f" ({count} times so far)" if count > FEW else ""
+        text = f"node {node}: {wrong.what} dated {abs(wrong.by):.3f} s {way} {at:.3f} s, the time that it was{more}"
+        self.note(text, "WARN")
+        self.tell(Misdated(wrong.tick, node, text))
 
     def _seen(self, node: int, now: float) -> None:
         watch = self._watches.setdefault(node, _Watch())

@@ -29,6 +29,14 @@ class Missing(NamedTuple):
     edges: int
 
 
+class Misdated(NamedTuple):
+    """Something of `node` was dated as it cannot be, in words; `tick` is when it came."""
+
+    tick: int
+    node: int
+    text: str
+
+
 class ParameterSet(NamedTuple):
     """A parameter of `node` has been set from here, to what the node says it took."""
 
@@ -49,7 +57,7 @@ class Note(NamedTuple):
 Chunk = SampleChunk | EdgeChunk
 """One record or more of a stream, contiguous but for its gaps. Edges come before the samples that cover them."""
 
-Heard = Chunk | HeartbeatReceived | DeviceEventReceived | ClockRestarted | Missing | ParameterSet | Note
+Heard = Chunk | HeartbeatReceived | DeviceEventReceived | ClockRestarted | Missing | Misdated | ParameterSet | Note
 
 
 class Sink(Protocol):

@@ -32,7 +32,7 @@ MARKS = "marks"
 Arrays = dict[str, NDArray[Any]]
 """The columns of a table by name, (rows,) each."""
 
-_SAID = ("mark", "event", "note", "parameter", "heartbeat", "missing")
+_SAID = ("mark", "event", "note", "parameter", "heartbeat", "missing", "misdated")
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,7 @@ class Content:
     ) -> None:
         self.run = run
         self.first, self.last = ticks_of(run, begin, end)
+        self._part = (BEGIN, END) if begin is None and end is None else (self.first, self.last)
         hz = run.info.tick_hz
         self.said = (BEGIN if begin is None else round(begin * hz), END if end is None else round(end * hz))
         """First and last tick of what was said that belongs to it: it may lie before the samples, or after them."""
@@ -94,7 +95,7 @@ class Content:
         self.streams = tuple(table for table in made if table is not None)
         self.rows: dict[str, int] = {}
         """By table: the rows that have been handed out."""
-        if all(next(run.pieces(table.name, self.first, self.last), None) is None for table in self.streams):
+        if all(next(run.pieces(table.name, *self._part), None) is None for table in self.streams):
             why = "; ".join(run.damage) or "records are missing there"
             raise BenchError(f"{run.path} has no data from {run.at(self.first)} to {run.at(self.last)}: {why}")
 
@@ -114,15 +115,19 @@ class Content:
             self.rows[table.name] = len(marks["tick"])
             yield marks
             return
-        for chunk in self.run.pieces(table.name, self.first, self.last):
+        for chunk in self.run.pieces(table.name, *self._part):
             self.rows[table.name] += len(chunk)
             yield _arrays(table, chunk, raw)
         if not self.rows[table.name]:
             yield _arrays(table, _no_rows(table.config), raw)
 
+    def rows_at_most(self, table: Table) -> int:
+        """Rows of a stream, or some more."""
+        return self.run.rows(table.name, *self._part)
+
     def bytes_at_most(self, table: Table) -> int:
         """Bytes that a stream's columns take in memory."""
-        return self.run.rows(table.name, self.first, self.last) * sum(column.dtype.itemsize for column in table.columns)
+        return self.rows_at_most(table) * sum(column.dtype.itemsize for column in table.columns)
 
     def about(self) -> dict[str, Any]:
         """What the run is, and how its streams came, as plain JSON; `damage` is complete when all has been read.
@@ -225,6 +230,8 @@ def _rows(record: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             yield row | {"name": record["name"], "text": record["verdict"] or ""}
         case "event":
             yield row | {"name": record["name"], "value": float(record["arg"]), "detail": float(record["detail"])}
+        case "misdated":
+            yield row | {"text": record["text"]}
         case "note":
             yield row | {"name": record["level"], "text": record["text"]}
         case "parameter":

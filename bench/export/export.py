@@ -109,9 +109,9 @@ def _notes(content: Content, writer: Any, files: Mapping[str, Path], out: Path) 
             f"{table.name}: {' and '.join(names)} differ by case only: a reader that ignores case, such as DuckDB, "
             "renames or loses one: choose one with --channels" for names in alike.values() if len(names) > 1
         ]  # fmt: skip
-    back = run.clock_went_back()
-    if back is not None:
-        notes.append(f"the device rebooted after {run.at(back)}: its time restarts there")
+    for restarted in (restarted for restarts in run.restarts.values() for restarted in restarts):
+        how = "has a clock that went back without a reboot" if restarted.tick in run.leaps else "rebooted"
+        notes.append(f"the device {how} after {run.at(restarted.tick)}: its time restarts there")
     if not run.ended:
         notes.append(f"warning: {run.path} has no end: it was interrupted, or is still recording")
     return (*notes, *(f"warning: {words}" for words in run.damage))

@@ -26,7 +26,7 @@ def whole(content: Content, table: Table) -> Arrays:
     """A table in one piece."""
     if table.config is None:
         return next(content.pieces(table))
-    room = content.run.rows(table.name, content.first, content.last)
+    room = content.rows_at_most(table)
     arrays: Arrays = {column.name: np.empty(room, column.dtype) for column in table.columns}
     at = 0
     for piece in content.pieces(table):

@@ -17,6 +17,7 @@ def files(content: Content, out: Path) -> dict[str, Path]:
 def write(content: Content, paths: Mapping[str, Path]) -> None:
     """Write it to `paths`. Raises RecordingError."""
     write_rrd(content.run, paths["dashboard"], *content.said)
+    content.run.look_at_times(*content.said)
 
 
 def notes(content: Content) -> list[str]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.findings import edges, encoder, late, sensors, wiring
+from bench.findings import edges, encoder, late, records, sensors, wiring
 from bench.findings.finding import Finding
 from bench.findings.sensors import Codes
 from bench.findings.thresholds import CLOUDED, HIDDEN, LEAST_PASSAGES, LEAST_REACH, LEAST_TURNS
@@ -75,6 +75,8 @@ def examine(trace: Trace, further: str = "", still_named: bool = False) -> Healt
         Verdict.INVALID, (), (), (), turns, measured, found_pulses, codes, None, UNKNOWN, None,
         resolution(trace, measured),
     )  # fmt: skip
+    if contradicting := tuple(records.contradicting(trace)):  # all else would follow from it
+        return replace(health, verdict=Verdict.FAIL, findings=contradicting)
     missing: list[str] = []
     covered = max(inputs.reach, _reach(trace))
     if not turns.total >= LEAST_TURNS or covered < LEAST_REACH:

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from bench.findings.finding import Finding
 from bench.findings.thresholds import (
+    KNOWN_FOR,
     LEAST_SPEED,
     LEAST_SUM,
     LONG_ENOUGH,
@@ -37,6 +39,22 @@ VECTOR, PHASES = ("i_d", "i_q"), ("i_a", "i_b", "i_c")
 BY_ENCODER, BY_HALL, BY_ESTIMATE = "the encoder", "its Hall sensors", "its own estimate"
 
 
+class Look(NamedTuple):
+    """What was seen in a short time of the run."""
+
+    time: float
+    """s of device time at its end."""
+    seen: float
+    """s of it over which the speed is known."""
+    omega: float
+    """Mean speed in these, electrical rad/s."""
+    sampled: float
+    """s of it of which samples came."""
+    current: float = math.nan
+    """A, mean in these; NaN where it is not streamed, as of i_q."""
+    i_q: float = math.nan
+
+
 @dataclass
 class _Asked:
     """A stretch of the run in which one speed was asked for, mechanical r/min, and one load, A."""
@@ -44,9 +62,34 @@ class _Asked:
     speed_rpm: float
     load_a: float = 0.0
     title: str = ""
-    looks: deque[tuple[float, float, float, float]] = field(default_factory=deque)
-    """Duration in s, mean speed in r/min, mean current and mean i_q in A, chunk by chunk; of the last `LAST` s."""
-    seconds: float = 0.0
+    looks: deque[Look] = field(default_factory=deque)
+    """Of the last third, at most of the last `LAST` s."""
+    begun: float = math.nan
+    """s of device time of what was seen first."""
+
+    @property
+    def seconds(self) -> float:
+        """From there to what was seen last."""
+        return self.looks[-1].time - self.begun if self.looks else 0.0
+
+    @property
+    def window(self) -> float:
+        """s that `looks` are about."""
+        return min(LAST, max(self.seconds / 3.0, BLOCK))
+
+    @property
+    def seen(self) -> float:
+        """s of them over which the speed is known."""
+        return sum(look.seen for look in self.looks)
+
+    def add(self, look: Look) -> None:
+        """Let go of what lies before the last third; a clock that has gone back begins anew."""
+        if not self.looks or look.time < self.looks[-1].time:
+            self.looks.clear()
+            self.begun = look.time - max(look.seen, look.sampled)
+        self.looks.append(look)
+        while self.looks[0].time <= look.time - self.window:
+            self.looks.popleft()
 
 
 @dataclass(frozen=True)
@@ -76,27 +119,23 @@ class SpeedHeld:
         """From now on this speed is asked for, and this load."""
         self._asked.append(_Asked(speed_rpm, load_a, title))
 
-    def add(self, seconds: float, omega: float, current: float, i_q: float) -> None:
-        """Means over a time: electrical rad/s; current and i_q in A, NaN where they are not streamed."""
-        if not self._asked:
-            return
-        asked = self._asked[-1]
-        asked.seconds += seconds
-        asked.looks.append((seconds, omega / self._n_p / RPM, current, i_q))
-        while sum(look[0] for look in asked.looks) > min(LAST, max(asked.seconds / 3.0, BLOCK)):
-            asked.looks.popleft()
+    def add(self, look: Look) -> None:
+        """Take in what was seen next."""
+        if self._asked:
+            self._asked[-1].add(look)
 
     def came(self) -> list[Came]:
         """What was asked for and what came, one by one."""
         return [
-            Came(a.title, a.speed_rpm, _mean(a.looks, 1), a.load_a, _mean(a.looks, 3), self._by) for a in self._asked
+            Came(a.title, a.speed_rpm, self._speed(a.looks), a.load_a, _sampled(a.looks, "i_q"), self._by)
+            for a in self._asked
         ]
 
     def findings(self) -> Iterator[Finding]:
         """Speeds that were not held."""
         for asked in self._asked:
-            speed, current = _mean(asked.looks, 1), _mean(asked.looks, 2)
-            if asked.seconds < LONG_ENOUGH or not asked.looks or self._on_its_way(asked):
+            speed, current = self._speed(asked.looks), _sampled(asked.looks, "current")
+            if asked.seconds < LONG_ENOUGH or self._little(asked) or self._on_its_way(asked):
                 continue
             if abs(speed - asked.speed_rpm) > self._off(asked):
                 amperes = "" if math.isnan(current) else f", with {current:.1f} A"
@@ -106,31 +145,49 @@ class SpeedHeld:
 
     def unverified(self) -> list[str]:
         """Speeds of which it was not seen whether they are held, each with the reason."""
-        short, slow = "too short a time", "too slow to tell"
-        unseen: dict[str, list[str]] = {short: [], slow: []}
+        unseen: dict[str, list[str]] = {}
         for asked in self._asked:
-            told = asked.seconds >= LONG_ENOUGH
-            if told and 0 < abs(asked.speed_rpm) <= self._off(asked):  # whether such a speed still changes is noise
-                unseen[slow].append(f"{asked.speed_rpm:g}")
-            elif not told or self._on_its_way(asked):
-                unseen[short].append(f"{asked.speed_rpm:g}")
-        return [f"whether {', '.join(speeds)} r/min are held ({why})" for why, speeds in unseen.items() if speeds]
+            if why := self._not_told(asked):
+                unseen.setdefault(why, []).append(f"{asked.speed_rpm:g}")
+        return [f"whether {', '.join(speeds)} r/min are held ({why})" for why, speeds in unseen.items()]
 
-    def _off(self, asked: _Asked) -> float:
-        """By how many r/min the mean speed may be off: at least by a Hall sector, where those tell it."""
+    def _not_told(self, asked: _Asked) -> str:
+        """Why it was not seen whether this speed is held; empty where it was."""
+        if not asked.looks:
+            return "not seen"
+        if asked.seconds < LONG_ENOUGH:
+            return "too short a time"
+        if 0 < abs(asked.speed_rpm) <= self._off(asked, asked.window):  # whether such a speed still changes is noise
+            return "too slow to tell"
+        if self._little(asked):
+            return f"it is known over {asked.seen:.1f} s of the last {asked.window:.1f} s"
+        return "it still changed" if self._on_its_way(asked) else ""
+
+    def _speed(self, looks: Iterable[Look]) -> float:
+        """Mean in mechanical r/min, over the time that it is known; NaN for none."""
+        seen = sum(look.seen for look in looks)
+        gone = sum(look.seen * look.omega for look in looks if look.seen)
+        return gone / seen / self._n_p / RPM if seen else math.nan
+
+    def _little(self, asked: _Asked) -> bool:
+        """Whether the speed is known over too little of the time."""
+        enough = asked.seen >= KNOWN_FOR * asked.window
+        return not enough or 0 < abs(asked.speed_rpm) <= self._off(asked, asked.seen)
+
+    def _off(self, asked: _Asked, seen: float = math.nan) -> float:
+        """By how many r/min the mean speed may be off: by a Hall sector in the time that it was seen, at least."""
         if not asked.speed_rpm:
             return STANDS
         bound = max(LEAST_SPEED, SPEED_OFF * abs(asked.speed_rpm))
-        if self._by == BY_HALL and asked.looks:
-            bound = max(bound, SECTOR_WIDTH / (self._n_p * RPM * sum(look[0] for look in asked.looks)))
-        return bound
+        seen = asked.seen if math.isnan(seen) else seen
+        return max(bound, SECTOR_WIDTH / (self._n_p * RPM * seen)) if self._by == BY_HALL and seen else bound
 
     def _on_its_way(self, asked: _Asked) -> bool:
         """Whether the speed still changes towards what was asked for."""
-        looks = list(asked.looks)
+        looks = [look for look in asked.looks if look.seen]
         if len(looks) < 2:
             return False
-        early, late = (_mean(part, 1) for part in (looks[: len(looks) // 2], looks[len(looks) // 2 :]))
+        early, late = (self._speed(part) for part in (looks[: len(looks) // 2], looks[len(looks) // 2 :]))
         nearer = abs(asked.speed_rpm - early) - abs(asked.speed_rpm - late)
         return nearer > RISING * abs(asked.speed_rpm)
 
@@ -196,7 +253,8 @@ def far_off(errors: ErrorTable, rate: float) -> Iterator[Finding]:
             yield Finding("position_error", words)
 
 
-def _mean(looks: Sequence[tuple[float, ...]], column: int) -> float:
-    """Over the time; NaN of nothing."""
-    seconds = sum(look[0] for look in looks)
-    return sum(look[0] * look[column] for look in looks) / seconds if seconds else math.nan
+def _sampled(looks: Iterable[Look], name: str) -> float:
+    """The mean of what samples tell, over their time; NaN of nothing."""
+    of = [(look.sampled, getattr(look, name)) for look in looks]
+    seconds = sum(sampled for sampled, _ in of)
+    return sum(sampled * value for sampled, value in of) / seconds if seconds else math.nan

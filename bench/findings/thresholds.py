@@ -27,11 +27,29 @@ SEEN_FOR = 0.5
 """s of samples from which on a run's position error and back-EMF are judged."""
 LONG_ENOUGH = 1.0
 """s at a speed before it is judged: a start takes some tenths."""
+KNOWN_FOR = 0.1
+"""Of the last third at a speed, over which it must be known to be judged: what was lost may be a tenth as well."""
+LOST_SHARE = 0.05
+"""Share of the samples, or edges, that are lost, from which on a result says so: of less the others tell as well."""
 
 # -- turns by Hall sensors and by encoder --------------------------------------------------------------------------
 
 WHOLE = 0.05
 """Pole pairs by which a ratio may miss a whole number, or a tenth of that of ten: it is known to some thousandths."""
+
+# -- what a drive tells twice ---------------------------------------------------------------------------------------
+
+FEW_RECORDS, CONTRADICT, EXCHANGED = 20, 0.1, 0.95
+"""EDGES records, or samples, with which they are compared; share that may contradict, for an interrupt that comes late
+misses an edge; and share that follows from the one before with the codes exchanged, where a rotor may rock as well."""
+AT_RANDOM = 1.5
+"""Changes of the channel `hall` for each edge, above which they are no edges: a bounce is one of both, or none."""
+FEW_BEATS = 3
+"""Heartbeats that contradict the channel `status`, from which on that is told: each of the two may come late once."""
+COUNTS_OFF = 2
+"""Edges by which a heartbeat's count may be off: an edge may come while it is made."""
+FASTEST_EDGES = 1e6
+"""Edges a second that no input capture follows."""
 
 # -- wires ---------------------------------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ from bench.signal.hall_edges import Edge, Passages, largest
 from bench.signal.trace import INPUTS, Floats, Ints, Trace
 from bench.signal.verdict import Verdict
 from bench.signal.waveforms.sectors import NUMERALS, SECTORS
+from protocol.text import counted
 
 WIDTH = 79
 MATTERS = 0.5
@@ -137,7 +138,7 @@ def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
     rows = [
         ["turned", turned.how],
         ["el. revolutions", f"{turns.up:.1f} forward, {turns.down:.1f} reverse"],
-        *_motion_rows(health),
+        *_motion_rows(health, trace.lost_edges),
         ["data", f"{trace.samples} samples in {trace.seconds:.1f} s, {codes.edges} edges"],
         ["illegal codes", f"{codes.illegal_samples} samples, {codes.illegal} edges; {codes.skipped} sectors skipped"],
     ]
@@ -178,11 +179,12 @@ def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
     return rows
 
 
-def _motion_rows(health: Health) -> list[list[str]]:
-    """How the shaft went by the sectors, and how fast where edges were measured."""
+def _motion_rows(health: Health, lost: int) -> list[list[str]]:
+    """How the shaft went by the sectors, and how fast where edges were measured; `lost`: edges that did not come."""
     steps, fit = health.measured.inputs.steps, health.measured.fit
     up, down, turned_round = _steps(steps)
-    rows = [["sectors", f"{up} forward, {down} reverse, {up - down:+d} net"]]
+    net = f"net unknown: {counted(lost, 'edge')} lost" if lost else f"{up - down:+d} net"
+    rows = [["sectors", f"{up} forward, {down} reverse, {net}"]]
     if turned_round:
         rows.append(["turned round", "once" if turned_round == 1 else f"{turned_round} times"])
     if fit is not None:
@@ -251,7 +253,7 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
         "samples": trace.samples,
         "turns_up": turns.up,
         "turns_down": turns.down,
-        "turns_net": (up - down) / SECTORS,
+        "turns_net": None if trace.lost_edges else (up - down) / SECTORS,
         "steps": {"up": up, "down": down, "reversals": turned_round},
         "omega_rad_s": {"slowest": _plain(slowest), "fastest": _plain(fastest)},
         "n_p": turns.n_p,

@@ -42,7 +42,7 @@ MOST_PATIENT = 8
 """Pieces that are let go by at most, before what looks suspicious is examined again."""
 OF_INPUTS = ("bounce", "pulses", "contact", "dead")
 """Findings that what came later does not take back."""
-AT_ONCE = (*OF_INPUTS, "wiring", "pole_pairs", "encoder_slips", "encoder_reversed")
+AT_ONCE = (*OF_INPUTS, "edge_records", "hall_codes", "wiring", "pole_pairs", "encoder_slips", "encoder_reversed")
 """Findings that need no edge to be passed again and again; all others need `LEAST_PASSAGES` of each."""
 
 

@@ -12,18 +12,20 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from bench.device.heard import Heard
+from bench.findings.beats import Beats
 from bench.findings.finding import Finding
-from bench.findings.motion import BY_ENCODER, BY_ESTIMATE, BY_HALL, Currents, NotFinite, SpeedHeld, far_off
+from bench.findings.motion import BY_ENCODER, BY_ESTIMATE, BY_HALL, Currents, Look, NotFinite, SpeedHeld, far_off
 from bench.findings.motor import MotorValues
+from bench.findings.passed import Passed
 from bench.findings.thresholds import LEAST_TURNS
 from bench.live.hall_sensors import HallSensors, Said
 from bench.signal.channels import flagged, reference_angle, speed_channel
 from bench.signal.position import ErrorTable, last_state
 from bench.signal.units import pole_pairs
-from bench.signal.waveforms.sectors import SECTOR_WIDTH, steps_between
+from bench.signal.waveforms.sectors import SECTOR_WIDTH
 from protocol.messages import DriveState
 from protocol.signals import Flag, Unit
-from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.streams import SampleChunk, StreamConfig
 
 
 def _of_angle(code: str) -> bool:
@@ -50,12 +52,15 @@ class Plausibility:
         self._names = {channel.name for channel in channels}
         self._n_p = pole_pairs(parameters)
         self._theta = reference_angle(channels)
+        self._both = any(channel.name == self._theta and channel.flags & Flag.ESTIMATE for channel in channels)
         self._omega = flagged(channels, Unit.RAD_PER_S, Flag.REFERENCE)
         self._by = BY_ENCODER if self._omega else BY_HALL if edges else BY_ESTIMATE
         if not self._omega and not edges:
             self._omega = speed_channel(channels, parameters)
         i_max = parameters.get("i_max", math.inf)
-        self._sectors = 0.0  # since the last chunk of samples
+        self._passed, self._beats = Passed(stream.node, stream.tick_hz), Beats(stream.node, stream.tick_hz)
+        self.commanded = True
+        """Whether the drive is told what to do: what it does after STOP is not judged."""
         self.speed, self._currents = SpeedHeld(self._by, self._n_p or 1, i_max), Currents(i_max)
         self._not_finite = NotFinite()
         self.motor = MotorValues(stream, parameters)
@@ -68,31 +73,35 @@ class Plausibility:
     def take(self, item: Heard) -> None:
         """Follow the Hall sensors from sector to sector; take in what was sampled while the drive was running."""
         self.hall.take(item)
-        if isinstance(item, EdgeChunk) and item.config.node == self._drive:
-            self._sectors += float(steps_between(item.hall_old, item.hall_new).sum())
-        elif isinstance(item, SampleChunk) and item.config.node == self._drive:
+        self._passed.take(item)
+        self._beats.take(item)
+        if isinstance(item, SampleChunk) and item.config.node == self._drive:
             self._samples_came(item)
 
     def _samples_came(self, chunk: SampleChunk) -> None:
-        gone, self._sectors = self._sectors, 0.0
+        seconds, sectors = self._passed.up_to(int(chunk.tick[-1]))
         self._not_finite.add(chunk)
-        if last_state(chunk) not in (None, DriveState.RUNNING):
+        state = last_state(chunk)
+        if state != DriveState.RUNNING and (state is not None or not self.commanded):
             return
-        seconds = len(chunk) / self._rate
         self._currents.add(chunk)
         self.motor.add(chunk)
         self._last = int(chunk.tick[0]), int(chunk.tick[-1])
-        self._look_at_speed(chunk, gone, seconds)
+        self._look_at_speed(chunk, seconds, sectors)
 
-    def _look_at_speed(self, chunk: SampleChunk, gone: float, seconds: float) -> None:
+    def _look_at_speed(self, chunk: SampleChunk, seconds: float, sectors: float) -> None:
+        """`sectors` that the Hall edges went on by in `seconds`."""
         if self._n_p is None or not (self._omega or self._edges):
             return
-        omega = float(chunk.physical(self._omega).mean()) if self._omega else gone * SECTOR_WIDTH / seconds
+        sampled = len(chunk) / self._rate
+        omega = sectors * SECTOR_WIDTH / seconds if seconds else 0.0
+        if self._omega:
+            seconds, omega = sampled, float(chunk.physical(self._omega).mean())
         current = i_q = math.nan
         if {"i_d", "i_q"} <= self._names:
             current = float(np.hypot(chunk.physical("i_d"), chunk.physical("i_q")).mean())
             i_q = float(chunk.physical("i_q").mean())
-        self.speed.add(seconds, omega, current, i_q)
+        self.speed.add(Look(int(chunk.tick[-1]) / chunk.config.tick_hz, seconds, omega, sampled, current, i_q))
 
     def news(self) -> Iterator[Said]:
         """What was found since the last call, each once; of the motor, as long as nothing is wrong with its angle."""
@@ -112,12 +121,17 @@ class Plausibility:
     def implausible(self, errors: ErrorTable) -> list[Finding]:
         """What cannot be right for a healthy drive, each with its numbers; `errors`: position errors of the run."""
         return [
+            *self._beats.findings(),
             *self._not_finite.findings(),
             *self.causes(),
             *self.speed.findings(),
             *far_off(errors, self._rate),
             *self._currents.findings(),
         ]
+
+    def at_rest(self) -> list[Finding]:
+        """The same of a drive that was only watched."""
+        return [*self._beats.findings(), *self.hall.findings()]
 
     def causes(self) -> list[Finding]:
         """What is set or wired wrongly, by what the shaft showed as it turned; also of a run that ended in a trip."""
@@ -130,6 +144,8 @@ class Plausibility:
         unseen, pieces = [], self.hall.pieces
         if not self._theta:
             unseen.append("position error (no angle with the flag REFERENCE)")
+        elif self._both:
+            unseen.append(f"position error of {self._theta} (it has the flags ESTIMATE and REFERENCE: no other tells)")
         elif pieces.too_fast and self._edges and self.hall.turned < LEAST_TURNS:
             unseen.append("Hall sensors against the encoder (too few samples in an electrical revolution)")
         if pieces.too_late:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 
@@ -20,6 +20,7 @@ from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, RecordingError
 from bench.files import check_output
 from bench.findings.motor import CODES as OF_MOTOR
+from bench.findings.thresholds import LOST_SHARE
 from bench.live.distrust import Distrust
 from bench.live.gathered import Gathered
 from bench.live.manoeuvres import Act, timed
@@ -261,6 +262,8 @@ class LiveRun:
         try:
             lost = self._perform_all()
         finally:
+            self._gathered.flush()
+            self._commands(not self.acts)
             duration, percent = self.client.now() - started, cpu.percent()
             bus = meter.report(self.node.load)
             rig.finish()
@@ -293,6 +296,12 @@ class LiveRun:
             with suppress(KeyboardInterrupt, Interrupted):
                 outputs.view.process.wait()
         return LiveOutcome(ended.exit_code, ended.verdict, ended.words, ended.findings, summary)
+
+    def _commands(self, now: bool) -> None:
+        """Whether the drive is told what to do in what comes from now on: its samples need not say."""
+        self._stats.commanded = now
+        if self._judge is not None:
+            self._judge.commanded = now
 
     def _perform_all(self) -> str:
         """All between start and stop of the streams; why the link was lost for good, if it was."""
@@ -410,11 +419,20 @@ class LiveRun:
         judge = self._judge
         if judge is None:
             return Verdict.PASS, "ok", ()
-        wrong = judge.implausible(stats.errors) if self.acts else judge.hall.findings()
+        wrong = judge.implausible(stats.errors) if self.acts else judge.at_rest()
         if found := tuple(finding.line for finding in wrong):
             return Verdict.FAIL, f"implausible: {'; '.join(found)}. {self._advice}", found
-        unseen = judge.unverified() if self.acts else []
+        unseen = [*(judge.unverified() if self.acts else []), *self._lost()]
         return Verdict.PASS, f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", ()
+
+    def _lost(self) -> Iterator[str]:
+        """What is not known of the run because it did not come, where that is much."""
+        losses = self.client.losses(self.node.number)
+        for count, noun in ((losses.samples, "samples"), (losses.edges, "Hall edges")):
+            made = count.samples + count.lost_by_index
+            if count.lost_by_index > LOST_SHARE * made:
+                share = f"{100 * count.lost_by_index / made:.0f} %"
+                yield f"what {share} of the {noun} would have shown ({count.lost_by_index} of {made} were lost)"
 
     @property
     def _advice(self) -> str:

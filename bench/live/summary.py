@@ -14,12 +14,12 @@ from bench.device.bus import bus_rows
 from bench.device.client import WATCHDOG, Client
 from bench.device.counters import DeviceCounters
 from bench.device.description import describe
-from bench.device.heard import Heard
+from bench.device.heard import Heard, Misdated
 from bench.files import finite
 from bench.findings.motion import Came
 from bench.report.words import number
 from bench.signal.percentiles import Percentiles
-from bench.signal.position import ErrorTable, Moments, position_errors, running
+from bench.signal.position import ErrorTable, Moments, position_errors, running, states
 from bench.view import markdown
 from bench.view.schema import label
 from protocol.codes import fault_names
@@ -40,6 +40,8 @@ class RunStatistics:
     def __init__(self, drive: int, observers: HostObservers | None = None) -> None:
         self.drive = drive
         self.segment = "run"
+        self.commanded = True
+        """Whether the drive is told what to do: what it does after STOP is no figure of the run."""
         self.errors = ErrorTable()
         self.samples_seen = 0
         self.first_sample_unix: float | None = None  # s, wall clock: how long a start took
@@ -48,6 +50,8 @@ class RunStatistics:
         self.device = DeviceCounters()
         self.host_compared = 0
         self.host_differ = 0
+        self.wrong_times: list[str] = []
+        """What the drive dated as it cannot be."""
         self.mean: dict[str, float] = {}  # over the last chunk
         self._observers = observers
         self._newest = 0  # tick of the newest sample since the heartbeat before, 0: none came
@@ -64,6 +68,8 @@ class RunStatistics:
                     self._observers.edges(item)
             case HeartbeatReceived(node=self.drive, heartbeat=heartbeat):
                 self._heartbeat(heartbeat)
+            case Misdated(node=self.drive, text=text):
+                self.wrong_times.append(text)
             case DeviceEventReceived(node=self.drive, event=event):
                 self.faults |= event.faults
 
@@ -74,7 +80,7 @@ class RunStatistics:
         if self.first_sample_unix is None:
             self.first_sample_unix = time.time()
         errors = position_errors(chunk)
-        if errors:
+        if errors and (self.commanded or states(chunk) is not None):
             runs = running(chunk)
             self.errors.add(self.segment, {name: values[runs] for name, values in errors.items()})
         if self._observers is not None:
@@ -94,7 +100,10 @@ class RunStatistics:
             self._newest = 0
 
     def misdated(self, tick_hz: int) -> str:
-        """What is wrong with the samples' times by the drive's own clock; '' if nothing is."""
+        """What is wrong with the times that the drive tells; '' if nothing is."""
+        if self.wrong_times:
+            more = len(self.wrong_times) - 1
+            return self.wrong_times[0] + (f", and {more} more" if more else "")
         least, most = (age / tick_hz for age in self._ages or (0, 0))
         if most >= -MISDATED and least <= MISDATED:
             return ""

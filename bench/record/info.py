@@ -137,8 +137,8 @@ class RunInfo:
 
     @cached_property
     def position_estimates(self) -> tuple[str, ...]:
-        """Channels flagged as position estimates."""
-        return self._flagged(Flag.ESTIMATE, Unit.RAD)
+        """Channels flagged as position estimates, but for the reference."""
+        return tuple(n for n in self._flagged(Flag.ESTIMATE, Unit.RAD) if n != self.position_reference)
 
     @cached_property
     def position_reference(self) -> str | None:

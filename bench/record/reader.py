@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from bench.device.heard import ClockRestarted, Missing, Note, ParameterSet
+from bench.device.heard import ClockRestarted, Misdated, Missing, Note, ParameterSet
 from bench.device.losses import LOSS_FIELDS, Continuity
 from bench.errors import BenchError
 from bench.files import RRD, is_run, run_folder
@@ -44,13 +44,14 @@ from bench.signal.chunks import (
 from bench.signal.verdict import Verdict
 from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat
-from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.streams import OFF, OFF_SHARE, EdgeChunk, SampleChunk, StreamConfig
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 T = TypeVar("T")
 
+MOST_LEAPS = 5  # of the time in a piece, that are named
 BESIDE = 50_000_000  # bytes that reading takes beside what is read: a row group or two, and files
 _NUMBERED = re.compile(r"(?P<stream>.+)-(?P<number>\d{6})\.parquet$")
 _HEARTBEAT = tuple(field.name for field in fields(Heartbeat))
@@ -92,6 +93,8 @@ class Run:
         self.path = path
         self.damage: list[str] = []
         """What is not as it was written, as far as it was looked at: what, where, and the time that it costs."""
+        self.leaps: set[int] = set()
+        """Ticks after which the time of a stream leaps though its index goes on, as far as they were read."""
         self._data = b""
         self._configs: dict[int, StreamConfig] = {}
         self._numbers: dict[str, int] = {}
@@ -151,7 +154,7 @@ class Run:
         """Numbers of the segments that a ring has let go."""
         for record in records:
             match record["kind"]:
-                case "event" | "heartbeat" | "note" | "mark" | "parameter" | "missing":
+                case "event" | "heartbeat" | "note" | "mark" | "parameter" | "missing" | "misdated":
                     said.append(_item(record))
                 case "rebooted":
                     self._reboots.append((record["segment"], record["from"]))
@@ -180,6 +183,9 @@ class Run:
         """Stretches that were marked, in the order in which they were."""
         self.changes = tuple(item for item in said if isinstance(item, ParameterSet))
         self.missing = tuple(item for item in said if isinstance(item, Missing))
+        self.misdated = tuple(item for item in said if isinstance(item, Misdated))
+        """What devices dated as it cannot be, told as it came; it was put right."""
+        self.damage += [item.text for item in self.misdated]
 
     def _add_stream(self, record: Mapping[str, Any]) -> None:
         number = record.get("number", -1 - len(self._configs))  # of a file whose line in the log is damaged: none
@@ -270,9 +276,9 @@ class Run:
                 last[name] = boots, span[1]
         return found
 
-    def clock_went_back(self) -> int | None:
-        """The tick after which a stream's time starts again; None if it never does."""
-        return next((restarts[0].tick for restarts in self.restarts.values()), None)
+    def clock_went_back(self) -> ClockRestarted | None:
+        """Where a stream's time starts again at first; None if it never does."""
+        return next((restarts[0] for restarts in self.restarts.values()), None)
 
     def journaled(self, stream: str) -> list[SampleChunk | EdgeChunk]:
         """What the journal holds of a stream, in order."""
@@ -298,10 +304,34 @@ class Run:
         """
         continuity = Continuity()
         config = narrowed(self.config(stream), channels)
+        newest: tuple[int, int] | None = None
         for segment in self.segments:
             segment.begin(continuity)
+            if any(restarted.rebooted for restarted in segment.restarts):
+                newest = None
             for piece in segment.pieces(stream, first, last, config):
+                self._look_at_time(stream, newest, piece)
+                newest = int(piece.tick[-1]), int(piece.index[-1])
                 yield continuity.chunk(piece)
+
+    def look_at_times(self, first: int = BEGIN, last: int = END) -> None:
+        """Name leaps of time, as whoever reads its streams by `pieces` does, without all that was measured."""
+        for name in self.names:
+            for _ in self.pieces(name, first, last, [channel.name for channel in self.config(name).channels[:1]]):
+                pass
+
+    def _look_at_time(self, stream: str, before: tuple[int, int] | None, piece: SampleChunk | EdgeChunk) -> None:
+        """Name leaps of the time of a stream; `before`: tick and index of the record before."""
+        tick, index = piece.tick, piece.index
+        if before is not None:
+            tick, index = np.append(before[0], tick), np.append(before[1], index)
+        went = np.diff(tick)
+        due = np.diff(index) * piece.config.period_ticks if piece.config.channels else np.maximum(went, 0)
+        off = went - due
+        for k in np.flatnonzero(np.abs(off) > OFF * self.info.tick_hz + OFF_SHARE * np.abs(due))[:MOST_LEAPS].tolist():
+            leap = f"the time leaps by {off[k] / self.info.tick_hz:+.3f} s after {self.at(int(tick[k]))}"
+            self._note_damage(f"{stream}: {leap}; nothing is left out")
+            self.leaps.add(int(tick[k]))
 
     def chunk(
         self, stream: str, first: int = BEGIN, last: int = END, channels: Collection[str] | None = None
@@ -561,6 +591,7 @@ def captures(
         lost = stretches.before(samples) + stretches.before(covered)
         if until == END:
             lost += _lost_at_the_ends(run, first, last, stretches)
+            lost += [(m.tick, m.tick, m.text) for m in run.misdated if m.node == info.node and first <= m.tick <= last]
         return Capture(samples, covered, info.parameters, tuple(lost), edge_step=info.edge_step)
 
     waiting: SampleChunk | None = None
@@ -656,6 +687,8 @@ def _item(record: Mapping[str, Any]) -> Kept:
             return ParameterSet(record["tick"], record["from"], record["name"], float(record["value"]))
         case "missing":
             return Missing(record["tick"], record["from"], record["samples"], record["edges"])
+        case "misdated":
+            return Misdated(record["tick"], record["from"], record["text"])
     verdict = None if record["verdict"] is None else Verdict(record["verdict"])
     return Mark(record["name"], record["tick"], record["last"], verdict)
 

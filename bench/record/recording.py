@@ -165,5 +165,7 @@ def readable(source: Source) -> Run:
     if SAMPLES not in run.names or not run.segments:
         raise BenchError(f"{run.path} holds no samples of the drive")
     if (back := run.clock_went_back()) is not None:
-        raise BenchError(f"{run.path}: the drive's clock jumped back at {run.at(back)}: it rebooted during the run")
+        run.look_at_times()
+        why = "its ticks are damaged" if back.tick in run.leaps else "it rebooted during the run"
+        raise BenchError(f"{run.path}: the drive's clock jumped back at {run.at(back.tick)}: {why}")
     return run

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.device.heard import Chunk, ClockRestarted, Missing, Note, ParameterSet
+from bench.device.heard import Chunk, ClockRestarted, Misdated, Missing, Note, ParameterSet
 from bench.device.losses import LossAccount
 from bench.record import journal, layout
 from bench.record.folder import RunFolder, SegmentFile, append_to, write_all
@@ -101,6 +101,8 @@ class RunWriter:
                 self._restart(item)
             case Missing():
                 self._said("missing", item)
+            case Misdated():
+                self._said("misdated", item)
             case ParameterSet():
                 self._said("parameter", item)
             case Note():
@@ -131,7 +133,7 @@ class RunWriter:
             if self._ring is not None:
                 self._ring.restarted()
 
-    def _said(self, kind: str, item: Missing | ParameterSet) -> None:
+    def _said(self, kind: str, item: Missing | Misdated | ParameterSet) -> None:
         """Write a line with all of an item of a node."""
         told = item._asdict()
         self._line({"kind": kind, "tick": told.pop("tick"), "from": told.pop("node"), **told})

@@ -19,7 +19,7 @@ class Quality:
     rate: float = 0.0
     """Samples a second."""
     seconds: float = 0.0
-    """Device time."""
+    """Device time from the first sample to the last."""
     remarks: tuple[str, ...] = ()
     """Each thing that made a stretch of data unfit, in words."""
 

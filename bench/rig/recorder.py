@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bench.device.counters import DeviceCounters
-from bench.device.heard import Heard, Missing
+from bench.device.heard import Heard, Misdated, Missing
 from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.chunks import LostStretches, between, join, no_edges
@@ -45,6 +45,8 @@ class Recorder:
                 self.device.add(heartbeat)
             case Missing(node=self._drive, samples=samples, edges=edges):
                 self.dropped += self._lost.at_the_end(samples, edges, self.tick_hz)
+            case Misdated(tick, self._drive, text):
+                self.dropped.append((tick, tick, text))
 
     # -- for the rig --------------------------------------------------------------------------------------------
 
@@ -83,6 +85,11 @@ class Recorder:
     def count(self) -> tuple[int, int]:
         """Samples and edges so far."""
         return sum(len(c) for c in self._samples), sum(len(c) for c in self._edges)
+
+    @property
+    def seconds(self) -> float:
+        """Device time from the first sample to the newest, whatever was lost between them."""
+        return (self.newest - int(self._samples[0].tick[0])) / self.tick_hz if self._samples else 0.0
 
     def _at(self, tick: int) -> str:
         return f"{tick / self.tick_hz:.4f} s"

@@ -575,7 +575,7 @@ class Rig:
             damaged_frames=self.client.session.counters.framing.bad,
             outages=self.client.health.outages,
             rate=self.rate,
-            seconds=samples / self.rate if self.rate else 0.0,
+            seconds=self.recorder.seconds,
             remarks=tuple(words for _, _, words in self.recorder.dropped),
         )
 

@@ -147,7 +147,7 @@ def _chosen(
 ) -> tuple[dict[str, str], Estimators | None, list[str]]:
     """The estimates that are scored and who makes each, the observers that are run, and notes. BenchError for none."""
     (config, edges), notes = run.drive_streams, list[str]()
-    kinds = {name: kind for name, (kind, _, _) in _recorded(config).items() if name != reference.kind}
+    kinds = {name: kind for name, (kind, angle, _) in _recorded(config).items() if angle != reference.channel}
     lacking: tuple[str, ...] = ()
     estimators = None
     if why := not_replayable(config, edges):

@@ -164,7 +164,7 @@ def read(edges: Edges, tick_hz: float) -> Inputs:
     """What the inputs did by their edges, in the order of time."""
     inverted = usual(edges)
     net = net_sectors(edges, inverted)
-    ratio, scatter = _ratio(edges.theta[net.at], net.sectors)
+    ratio, scatter = _ratio(edges.theta[net.at], net.sectors, edges.stretch[net.at])
     unsure = scatter > UNSURE and abs(math.log2(max(abs(ratio), 0.1))) < 1.0  # pulses hide it
     if unsure or (not abs(abs(ratio) - 1.0) < ALIKE and _half_turns(edges) >= 2):  # or an input misses edges
         ratio = math.copysign(1.0, ratio)
@@ -238,13 +238,17 @@ def reached(gone: Ints) -> Ints:
     return np.array(at, np.int64)
 
 
-def _ratio(theta: Floats, sectors: Ints) -> tuple[float, float]:
-    """Angle by the encoder for that by the sectors, over whole revolutions in one direction, and its scatter."""
+def _ratio(theta: Floats, sectors: Ints, stretch: Ints) -> tuple[float, float]:
+    """Angle by the encoder for that by the sectors, over whole revolutions in one direction, and its scatter.
+
+    Over none in which edges may have been lost.
+    """
     way = np.concatenate([[0.0], np.cumsum(np.sign(np.diff(sectors)))]) if len(sectors) else np.zeros(0)
     first = np.arange(0, len(sectors) - SECTORS, SECTORS // 2)
     last = first + SECTORS
     gone = sectors[last] - sectors[first]
     one_way = (np.abs(way[last] - way[first]) == SECTORS) & np.isfinite(theta[last] - theta[first])
+    one_way &= stretch[last] == stretch[first]
     ratios = (theta[last] - theta[first])[one_way] / (SECTOR_WIDTH * gone[one_way])
     if len(ratios) < 3:
         return math.nan, math.nan

@@ -102,7 +102,9 @@ class Pieces:
         self.settled, fastest, self._fastest = end, self._fastest, 0.0
         if self._theta and self._followed:
             gone = SECTOR_WIDTH * abs(float(steps_between(edges.hall_old, edges.hall_new).sum()))
-            too_fast = max(gone, fastest / self._config.rate * n) > FOLLOWED * n
+            step = self._config.period_ticks * self._config.decimation
+            lasts = max(n, int(samples.tick[-1] - samples.tick[0]) // step if n else 0)  # in samples, lost ones too
+            too_fast = max(gone, fastest / self._config.rate * lasts) > FOLLOWED * lasts
             self.too_fast |= too_fast
             if too_fast or not np.isfinite(samples.physical(self._theta)).all():
                 self._broken = [True, True]

@@ -36,7 +36,10 @@ def position_error(actual: NDArray[Any], estimated: NDArray[Any]) -> NDArray[Any
 
 
 def position_errors(chunk: SampleChunk) -> dict[str, NDArray[np.float64]]:
-    """`position_error` of every position estimate in the chunk, (n,) each; empty without an encoder."""
+    """`position_error` of every position estimate in the chunk, (n,) each; empty without an encoder.
+
+    A reference that calls itself an estimate is none: it would be compared with itself.
+    """
     channels = chunk.config.channels
     reference = reference_angle(channels)
     if not reference:
@@ -45,7 +48,7 @@ def position_errors(chunk: SampleChunk) -> dict[str, NDArray[np.float64]]:
     return {
         channel.name: position_error(actual, chunk.physical(channel.name))
         for channel in channels
-        if channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD
+        if channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD and channel.name != reference
     }
 
 

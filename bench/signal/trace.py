@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle
-from bench.signal.chunks import as_bytes, contiguous
+from bench.signal.chunks import BEGIN, as_bytes, contiguous, streams_none
 from bench.signal.position import running
+from bench.signal.records import Records
 from bench.signal.windows import Window, windows
 from protocol.streams import EdgeChunk, SampleChunk
 
@@ -38,6 +39,8 @@ SLOPE = 8e-3
 """s on either side of a sample over which the speed is taken."""
 AROUND = 2.0 * SLOPE
 """s on either side of a piece, from which the speed at its ends is told."""
+HELD = 0.1
+"""s between two samples that a shaft is taken to go on for as fast as it was at the later one."""
 MOST, MOST_EDGES, BLOCK = 500_000, 300_000, 60
 """Samples and edges that are measured from at most; of edges so many in a row are kept."""
 BITS = 32
@@ -112,6 +115,12 @@ class Trace:
         """s from sample to sample."""
         self.changed = np.zeros((8, 8), np.int64)
         """(8, 8) how many edges there are, of all, from each code to each."""
+        self.records = Records()
+        """What edges and the channel `hall` tell of each other."""
+        self.ticks = self.lost_edges = 0
+        """Device time that is known, see `seconds`; and edges that were lost."""
+        self._end: int | None = None  # tick of the last sample
+        self._edge = BEGIN  # of the last edge
         self.unplaced = self.slow = 0
         """Edges left out: their angle is not known, beside a gap or without samples; the shaft hardly moved."""
         self.parameters: Mapping[str, float] = {}
@@ -162,14 +171,37 @@ class Trace:
         if self.encoder:
             theta = self._unwrapped(capture.theta, own)
             omega = np.concatenate([speed(theta[rows], capture.t[rows]) for rows in contiguous(capture.samples)])
-            way = omega[own] * self.sample_time / math.tau
+            way = omega[own] * self._steps(tick, own) / math.tau
             moving = np.abs(omega[own]) >= SLOW
             self.up += float(way[moving & (way > 0)].sum())
             self.down -= float(way[moving & (way < 0)].sum())
         self._add_some(capture, own, hall, theta, omega)
         edges = self._add_edges(capture, theta, omega)
         self.samples += own.stop - own.start
+        self._cover(capture, own)
+        self.records.add(capture, own, hall if "hall" in capture else None)
         return edges
+
+    def _steps(self, tick: Ints, own: slice) -> Floats:
+        """s from each own sample's predecessor to it; a gap in which the speed may have changed counts as no more."""
+        before = tick[own.start - 1 : own.stop - 1] if own.start else np.append(tick[0], tick[: own.stop - 1])
+        steps: Floats = (tick[own] - before) / self.tick_hz
+        return np.where((steps > 0.0) & (steps <= HELD), steps, self.sample_time)
+
+    def _cover(self, capture: Capture, own: slice) -> None:
+        """Add the device time of a window: all since the one before, but for that in which records are missing."""
+        tick, end = capture.samples.tick, int(capture.samples.tick[own.stop - 1])
+        first = int(tick[own.start]) - round(self.sample_time * self.tick_hz)
+        begin = first if self._end is None or self._end > end else self._end
+        missed = capture.samples if streams_none(capture.edges.config) else capture.edges
+        at = [gap.position for gap in missed.gaps if gap.position < len(missed)]
+        before = [int(missed.tick[k - 1]) if k else max(begin, self._edge) for k in at]
+        lost = sum(max(0, min(int(missed.tick[k]), end) - max(a, begin)) for k, a in zip(at, before, strict=True))
+        self.ticks += max(0, end - begin - lost)
+        self.lost_edges += sum(gap.lost_samples for gap in capture.edges.gaps)
+        self._end = end
+        if len(missed):
+            self._edge = int(missed.tick[-1])
 
     def _unwrapped(self, theta: Floats, own: slice) -> Floats:
         """The angle as it goes on from the window before: what does not repeat with it does so over all of them."""
@@ -232,8 +264,8 @@ class Trace:
 
     @property
     def seconds(self) -> float:
-        """Time covered by samples."""
-        return self.samples * self.sample_time
+        """Device time of which all Hall edges are known; without a stream of them, all samples."""
+        return self.ticks / self.tick_hz if self.tick_hz else 0.0
 
     @property
     def measured(self) -> float:

@@ -225,9 +225,15 @@ class CanEdgeDecoder(_CanDecoder):
         fits = frames.records["length"] == EDGE_BYTES
         (data,) = self._keep(fits, frames.records["data"][:, :EDGE_BYTES], malformed=True)
         records = np.ascontiguousarray(data).view(EDGE_RECORD)[:, 0]
-        tick = TickReference(beat.tick).unwrap(records["tick"])
-        newest = np.maximum.accumulate(np.concatenate([[self._last_tick], tick]))[:-1]
-        believed = (tick >= newest) & (tick <= beat.tick + AHEAD * self.config.tick_hz)
+        for shift in dict.fromkeys((self._reference.shift, 0)):  # perhaps only heartbeats have jumped
+            tick = TickReference(beat.tick, shift=shift).unwrap(records["tick"])
+            newest = np.maximum.accumulate(np.concatenate([[self._last_tick], tick]))[:-1]
+            believed = (tick >= newest) & (tick <= beat.tick + AHEAD * self.config.tick_hz)
+            if believed.any():
+                break
+        off = tick[~believed] - beat.tick
+        if self._reference.tick_hz and (np.abs(off) > AHEAD * 2 * self.config.tick_hz).any():
+            self._reference.doubt(beat.tick, "Hall edges, which are left out,", float(off[np.abs(off).argmax()]))
         records, tick = self._keep(believed, records, tick)
         numbers, sure = self._place(records["flags"].astype(np.int64), tick, frames.beats)
         records, tick, numbers = self._keep(sure, records, tick, numbers)

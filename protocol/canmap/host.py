@@ -51,6 +51,8 @@ class _Node:
     held: list[NDArray[np.void]] = field(default_factory=list)
     n_held: int = 0
     fd: bool | None = None  # format of its messages
+    clock: TickReference = field(default_factory=TickReference)  # of the heartbeats
+    boot_id: int | None = None
 
 
 class CanWire:
@@ -193,7 +195,13 @@ class CanWire:
             return []
         node = self._nodes[message[NODE_OFFSET]]
         first = not node.beats
-        node.beats = (*node.beats, Beat(heartbeat.tick, heartbeat.edges))[-MAX_BEATS:]
+        if heartbeat.boot_id != node.boot_id:
+            node.boot_id = heartbeat.boot_id
+            node.clock.restart()
+        node.clock.now = time
+        tick = node.clock.hear(heartbeat.tick, "")  # the session tells what cannot be
+        node.clock.wrong.clear()
+        node.beats = (*node.beats, Beat(tick, heartbeat.edges))[-MAX_BEATS:]
         node.heard = time
         if not node.held:
             return []
@@ -243,6 +251,7 @@ class CanWire:
     def decoder(self, config: StreamConfig, reference: TickReference) -> Decoder:
         """See `HostWire.decoder`. Raises RemoteProtocolError if host and device are not of one mind on the format."""
         node = self._nodes.setdefault(config.node, _Node())
+        node.clock.tick_hz = config.tick_hz
         if node.fd is not None and node.fd != self.rates.fd:
             here, there = ("CAN FD", "classic CAN") if self.rates.fd else ("classic CAN", "CAN FD")
             fix = "remove fd=1 from" if self.rates.fd else "add fd=1 and data_bitrate to"

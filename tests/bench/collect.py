@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.device.client import Client
-from bench.device.heard import ClockRestarted, Heard, Missing, Note
+from bench.device.heard import ClockRestarted, Heard, Misdated, Missing, Note
 from bench.device.node import DRIVE, LOAD, Node
 from bench.record.info import RunInfo
 from bench.rig.streams import configure
@@ -27,6 +27,7 @@ class Collector:
         self.events: list[DeviceEventReceived] = []
         self.heartbeats: list[HeartbeatReceived] = []
         self.restarts: list[ClockRestarted] = []
+        self.misdated: list[Misdated] = []
         self.notes: list[str] = []
         self.lost = (0, 0)  # samples and edges, at the end of the streams
 
@@ -42,6 +43,8 @@ class Collector:
                 self.lost = (self.lost[0] + item.samples, self.lost[1] + item.edges)
             case ClockRestarted():
                 self.restarts.append(item)
+            case Misdated():
+                self.misdated.append(item)
             case Note():
                 self.notes.append(item.text)
 

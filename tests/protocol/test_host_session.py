@@ -318,8 +318,9 @@ def test_the_tick_reference_follows_heartbeats_and_time_sync(host: HostSession) 
     tid = host.request(TimeSync(), 1, 1.0)
     host.receive_data(reply(MessageType.TIME_SYNC, tid, TimeSyncReply(100, 1 << 40).pack()), 1.01)
     assert host.tick_reference(1).tick == 1 << 40
-    host.receive_data(unasked(0x04, Heartbeat(5 << 40, 7, *([0] * 10)).pack()), 1.0)
-    assert (host.tick_reference(1).tick, host.tick_reference(2).tick) == (5 << 40, 0)
+    later = (1 << 40) + 2_000_000
+    host.receive_data(unasked(0x04, Heartbeat(later, 7, *([0] * 10)).pack()), 1.11)
+    assert (host.tick_reference(1).tick, host.tick_reference(2).tick) == (later, 0)
 
 
 def test_reconnecting_drops_half_a_frame_and_the_outstanding_request(host: HostSession) -> None:

@@ -1,0 +1,78 @@
+"""What a run says of a healthy drive behind a link that loses frames: figures are the drive's, and nobody is accused.
+
+What is true is what the simulated drive was asked for, which it does, and what the link has let through.
+"""
+
+from __future__ import annotations
+
+import random
+from typing import NamedTuple
+
+import pytest
+from lossy import LosingLink, Losses
+from virtual_run import run, simulated
+
+from tests.choice import sampled
+
+NO_ENCODER = {"encoder__present": 0}
+
+
+class Case(NamedTuple):
+    """A run on a link that loses."""
+
+    network: str
+    config: dict[str, float]
+    losses: Losses
+    rpm: float
+    seconds: float
+    seed: int
+
+
+def case(number: int) -> Case:
+    """Drawn by its number."""
+    dice = random.Random(number)
+    kind = dice.choice(("samples", "edges", "both", "bits", "outage", "bursts"))
+    begin, every = dice.uniform(1.0, 2.0), dice.uniform(0.2, 0.5)
+    outages = {
+        "outage": ((begin, begin + dice.uniform(0.1, 5.0)),),
+        "bursts": tuple((begin + k * every, begin + (k + dice.uniform(0.1, 0.7)) * every) for k in range(30)),
+    }
+    losses = Losses(
+        samples=dice.uniform(0.02, 0.8) if kind in ("samples", "both") else 0.0,
+        edges=dice.uniform(0.02, 0.8) if kind in ("edges", "both") else 0.0,
+        bits=10.0 ** dice.uniform(-5.0, -3.5) if kind == "bits" else 0.0,
+        outages=outages.get(kind, ()),
+    )
+    rpm = dice.choice((0.0, *(sign * dice.uniform(*span) for sign in (1, -1) for span in ((30, 200), (200, 2500)))))
+    config = dice.choice(({}, NO_ENCODER))
+    return Case(dice.choice(("bytes", "bytes", "CAN FD")), config, losses, rpm, dice.uniform(1.2, 6.0), number)
+
+
+REPORTED = [
+    Case("bytes", NO_ENCODER, losses, rpm, 3.5, 1)
+    for rpm in (100.0, 20.0)
+    for losses in (Losses(samples=0.25), Losses(samples=0.45), Losses(bits=5e-4))
+]
+
+
+def _accuses_nobody(of: Case) -> None:
+    link = LosingLink(simulated(of.seed, of.network, **of.config), of.losses, of.seed)
+    ended = run(link, duration=of.seconds, speed_rpm=of.rpm, fit=True)
+    summary = ended.summary
+    assert "implausible" not in summary.result, of
+    assert "ran away" not in summary.result, of
+    assert not summary.faults, of
+    [came] = summary.asked
+    if came.speed_came_rpm == came.speed_came_rpm and of.seconds > 2.0:
+        few = of.config and of.losses != Losses(samples=of.losses.samples)  # sectors that are 10 % too wide or narrow
+        assert came.speed_came_rpm == pytest.approx(of.rpm, rel=0.25 if few else 0.05, abs=6.0), of
+
+
+@pytest.mark.parametrize("of", REPORTED)
+def test_speed_by_edges_is_by_the_drives_clock(of: Case) -> None:
+    _accuses_nobody(of)
+
+
+@pytest.mark.parametrize("of", sampled("lossy runs", map(case, range(400)), 14, campaign="lossy"))
+def test_losses_accuse_nobody(of: Case) -> None:
+    _accuses_nobody(of)
