@@ -37,6 +37,7 @@ from protocol.wire import ByteWire, Decoder, HostWire, StreamFrames
 
 TRIES = 3
 BASE_TIMEOUT = 0.1  # s, to which two round trips are added
+COMMIT_TIMEOUT = 2.0  # s likewise, of PARAM_COMMIT: flash is slow
 MAX_ROUND_TRIP = 1.0  # s, as far as timeouts go
 _ECHOED = ("nonce", "id", "offset", "stream")  # fields of requests that come back in their replies
 HELLO_INTERVALS = (0.1, 0.2, 0.4, 0.8, 1.0)  # s between HELLOs; the last one goes on
@@ -269,7 +270,7 @@ class HostSession:
         self.counters.retries += pending.tries > 0
         pending.sent = now
         pending.tries += 1
-        pending.deadline = now + self._timeout(pending.connecting, pending.tries)
+        pending.deadline = now + self._timeout(pending)
 
     def receive_data(self, data: bytes, now: float) -> None:
         """Take bytes from the link, cut anywhere."""
@@ -359,7 +360,7 @@ class HostSession:
             return
         self._pending = None
         round_trip = now - pending.sent
-        if pending.tries == 1:  # else it is unknown which transmission was answered
+        if pending.tries == 1 and frame.type != MessageType.PARAM_COMMIT:  # else it says nothing of the link
             smoothed = 0.75 * self.round_trip + 0.25 * round_trip if self.round_trip else round_trip
             self.round_trip = min(smoothed, MAX_ROUND_TRIP)
         if isinstance(message, HelloReply):
@@ -429,7 +430,8 @@ class HostSession:
         self.tick(now)
         return tid
 
-    def _timeout(self, connecting: bool, tries: int) -> float:
-        if connecting:
-            return HELLO_INTERVALS[min(tries, len(HELLO_INTERVALS)) - 1]
-        return BASE_TIMEOUT + 2 * self.round_trip
+    def _timeout(self, pending: _Pending) -> float:
+        if pending.connecting:
+            return HELLO_INTERVALS[min(pending.tries, len(HELLO_INTERVALS)) - 1]
+        commits = pending.message.TYPE == MessageType.PARAM_COMMIT
+        return (COMMIT_TIMEOUT if commits else BASE_TIMEOUT) + 2 * self.round_trip

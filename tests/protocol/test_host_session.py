@@ -42,6 +42,7 @@ from protocol.messages import (
     ParamGet,
     ParamReply,
     ParamSet,
+    Request,
     Role,
     StreamEvent,
     StreamSet,
@@ -157,10 +158,11 @@ def test_acknowledged_and_unacknowledged_messages_do_not_mix(host: HostSession) 
     assert sent(host) == [Frame(MessageType.ALIVE, MAJOR, 0, 2, Alive(7).pack())]
 
 
-def test_three_tries_with_the_same_tid_then_a_time_out(host: HostSession) -> None:
-    tid = host.request(ParamGet(5), 1, 1.0)
+@pytest.mark.parametrize(("request_", "base"), [(ParamGet(5), 0.1), (ParamCommit(), 2.0)])
+def test_three_tries_with_the_same_tid_then_a_time_out(host: HostSession, request_: Request, base: float) -> None:
+    tid = host.request(request_, 1, 1.0)
     first = sent(host)
-    timeout = 0.1 + 2 * 0.01
+    timeout = base + 2 * 0.01
     for due in (1.0 + timeout, 1.0 + 2 * timeout):
         host.tick(due - 1e-6)
         assert sent(host) == []
@@ -168,19 +170,19 @@ def test_three_tries_with_the_same_tid_then_a_time_out(host: HostSession) -> Non
         assert sent(host) == first
     host.tick(1.0 + 3 * timeout + 1e-6)
     assert sent(host) == []
-    assert events(host) == [RequestTimedOut(tid, 1, MessageType.PARAM_GET, 3)]
+    assert events(host) == [RequestTimedOut(tid, 1, request_.TYPE, 3)]
     assert not host.busy
     assert host.counters.retries == 2
-    host.receive_data(reply(MessageType.PARAM_GET, tid, ParamReply(5, 1, 0, 2, 1).pack()), 2.0)
+    host.receive_data(reply(MessageType.PARAM_GET, tid, ParamReply(5, 1, 0, 2, 1).pack()), 9.0)
     assert events(host) == []  # too late
     assert host.counters.unexpected_replies == 1
 
 
 def test_a_reply_after_a_retry_counts_once(host: HostSession) -> None:
     tid = host.request(ParamCommit(), 1, 1.0)
-    host.tick(1.5)
+    host.tick(3.5)
     answer = reply(MessageType.PARAM_COMMIT, tid, b"")
-    host.receive_data(answer + answer, 1.55)
+    host.receive_data(answer + answer, 3.55)
     event = only(host, ReplyReceived)
     assert (event.tid, event.message) == (tid, Empty())
     assert host.counters.unexpected_replies == 1
