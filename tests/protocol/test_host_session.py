@@ -283,12 +283,12 @@ def test_tid_wraps_from_65535_to_1() -> None:
 def test_the_round_trip_is_smoothed_and_bounded(host: HostSession) -> None:
     now = 1.0
     for _ in range(40):
-        tid = host.request(ParamCommit(), 1, now)
+        tid = host.request(StreamStart(0), 1, now)
         now += 0.03
-        host.receive_data(reply(MessageType.PARAM_COMMIT, tid, b""), now)
+        host.receive_data(reply(MessageType.STREAM_START, tid, b""), now)
     assert host.round_trip == pytest.approx(0.03, rel=0.01)
-    tid = host.request(ParamCommit(), 1, now)
-    host.receive_data(reply(MessageType.PARAM_COMMIT, tid, b""), now + 3600)
+    tid = host.request(StreamStart(0), 1, now)
+    host.receive_data(reply(MessageType.STREAM_START, tid, b""), now + 3600)
     assert host.round_trip <= 1.0
 
 
