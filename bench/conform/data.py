@@ -400,7 +400,7 @@ def _overload(device: Device) -> Overload:
     device.start_streams(1)
     device.streamed(0, 0.2)
     for seconds in UNREAD:
-        probe.idle(seconds)
+        probe.pause(seconds)
         _settle(device)
         if _dropped(device) != before:
             break
