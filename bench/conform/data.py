@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+
+import numpy as np
 
 from bench.conform.checks import Carrier, Group
 from bench.conform.device import Block, Configured, Device, ids, require_granted, width
@@ -15,8 +18,10 @@ from bench.conform.verdicts import Failed, NotApplicable, Unknown
 from protocol.canmap.layout import sample_layout
 from protocol.codes import MessageType
 from protocol.descriptor import Channel
+from protocol.framing import MAX_PAYLOAD
 from protocol.messages import TimeSyncReply
-from protocol.streams import DISCONTINUITY, OVERRUN
+from protocol.signals import Flag
+from protocol.streams import DISCONTINUITY, OVERRUN, STREAM_HEADER
 from protocol.text import counted
 
 check = Group("stream", STREAMS, Carrier.BYTES)
@@ -24,9 +29,18 @@ either = Group("stream", STREAMS)
 
 RATE = 400.0  # Hz of samples that are looked at one by one
 WATCHED = 0.4  # s
+MORE_THAN_A_BYTE = 257  # a decimation
 SYNCED = 0.005  # s between two TIME_SYNCs
+SLOW, LATENCY_MS = 50.0, 50  # Hz, and ms
+SEEN = 0.04  # s that a frame may need beyond its latency, and this host to see it
+ROUNDED = 1e-5  # rad
 AHEAD, BEHIND = 0.002, 0.005  # s that a device may need from a sample to its frame, and from a frame to the link
 MASK = 0xFFFFFFFF
+HALL_ROWS = (
+    (0, 1, 2, 3, 4, 5, 6, 7), (0, 2, 1, 3, 4, 6, 5, 7), (0, 1, 4, 5, 2, 3, 6, 7), (0, 4, 2, 6, 1, 5, 3, 7),
+    (0, 4, 1, 5, 2, 6, 3, 7), (0, 2, 4, 6, 1, 3, 5, 7),
+)  # fmt: skip
+"""Codes of the input words 0 to 7, by `hall_swap_hat`."""
 UNREAD = (0.6, 2.0, 4.0)  # s for which the link is not read, one after the other, until frames are dropped
 SETTLE = 0.5  # s after that in which what waited is read
 SLOWED = 8  # times at most that a rate is lowered until a stream takes no more than its share of the link
@@ -57,8 +71,12 @@ def cfg_id_in_frames(device: Device) -> str:
 
 @check("frame-fields", 11, "number of records, never 0")
 def frame_fields(device: Device) -> str:
-    """Frames hold whole records, at most a block of them, and seq starts at 0."""
+    """Frames hold whole records, at most a block of them, and seq starts at 0, at each start."""
     chosen = device.channels[:3]
+    device.stream(device.channels[:1], RATE)
+    device.streamed(0, WATCHED / 2)
+    device.stop_streams()
+    device.probe.heard.clear()
     told = device.stream(chosen, RATE)
     blocks = device.streamed(0, WATCHED)
     size = sum(map(width, chosen))
@@ -86,10 +104,11 @@ def unwrapped(index: int, now: int) -> int:
 
 @check("index-divisible", 11, "Periods whose index is divisible by `decimation` (1..65535) are sampled")
 def index_divisible(device: Device) -> Iterator[str]:
-    """The index of every sample is divisible by the decimation."""
-    for rate in (min(RATE, device.pwm_hz / 2), min(RATE / 7, device.pwm_hz / 3)):
+    """The index of every sample is divisible by the decimation, also where that needs more than a byte."""
+    most = device.pwm_hz / MORE_THAN_A_BYTE
+    for rate in (min(RATE, device.pwm_hz / 2), min(RATE / 7, device.pwm_hz / 3), min(most, RATE)):
         told = device.stream(device.channels[:1], rate)
-        blocks = device.streamed(0, WATCHED)
+        blocks = device.streamed(0, max(WATCHED, 2.2 / rate))
         decimation = told.asked.decimation
         now = periods(device, told)
         wrong = [index for block in blocks if (index := unwrapped(block.index, now)) % decimation]
@@ -158,10 +177,13 @@ def _signed(ticks: int) -> int:
 
 @check("no-gaps", 11, "DISCONTINUITY means that the index jumps although no frame was lost")
 def no_gaps(device: Device) -> str:
-    """Without losses, the index continues from frame to frame."""
-    told = device.stream(device.channels[:1], RATE)
+    """Without losses, seq and index continue from frame to frame, and no frame has a flag."""
+    told, dropped, damaged = device.stream(device.channels[:1], RATE), _dropped(device), device.probe.line.damaged
     blocks = device.streamed(0, 2 * WATCHED)
+    lossless = _dropped(device) == dropped and device.probe.line.damaged == damaged
     for before, after in pairwise(blocks):
+        if lossless and (after.flags & (OVERRUN | DISCONTINUITY) or after.seq != (before.seq + 1) & 0xFFFF):
+            raise Failed(f"seq {before.seq}, then {after.seq} with flags 0x{after.flags:x}, but nothing was dropped")
         if after.seq != (before.seq + 1) & 0xFFFF or after.flags & DISCONTINUITY:
             continue
         if (due := (before.index + before.n * told.asked.decimation) & MASK) != after.index:
@@ -169,6 +191,96 @@ def no_gaps(device: Device) -> str:
     if len(blocks) < 2:
         raise Unknown("only one frame received")
     return f"{len(blocks)} frames, {sum(block.n for block in blocks)} samples without a gap"
+
+
+@check("in-time", 11, "An incomplete block is sent when its oldest record is `max_latency_ms` old")
+def in_time(device: Device) -> str:
+    """A frame is sent before its oldest sample is older than max_latency_ms."""
+    told = device.stream(device.channels[:1], SLOW, LATENCY_MS)
+    device.probe.heard.clear()
+    blocks = device.streamed(0, 2 * WATCHED)
+    return late(device, [(block.at, block.tick) for block in blocks], told.asked.max_latency_ms, "frames")
+
+
+def late(device: Device, came: list[tuple[float, int]], latency_ms: int, what: str) -> str:
+    """Evidence that what `came` with a tick is no older than that, for most of them. Raises Failed."""
+    probe = device.probe
+    tick, now = probe.tick()[1], probe.now()
+    ages = sorted(_signed(tick - then) / device.hz - (now - at) for at, then in came)
+    age = ages[len(ages) // 2]
+    words = f"{len(came)} {what}, most of them up to {1e3 * age:.0f} ms old, max_latency_ms is {latency_ms}"
+    if age > 1e-3 * latency_ms + SEEN + 2 * probe.takes(MAX_PAYLOAD):
+        raise Failed(words)
+    return words
+
+
+@check("only-running", 11, "A stream is free, configured (STREAM_SET) or running (STREAM_START)")
+def only_running(device: Device) -> str:
+    """Frames come from running streams only: none before STREAM_START, none after STREAM_STOP."""
+    device.configure(0, ids(device.channels[:1]), RATE)
+    device.probe.listen(WATCHED / 2)
+    if early := len(device.blocks()):
+        raise Failed(f"{early} frames came before STREAM_START")
+    device.start_streams(1)
+    came = len(device.streamed(0, WATCHED / 2))
+    device.stop_streams()
+    device.probe.heard.clear()
+    device.probe.listen(WATCHED / 2)
+    if after := len(device.blocks()):
+        raise Failed(f"{after} frames came after STREAM_STOP and a pause")
+    return f"none before STREAM_START, {came} until STREAM_STOP, none after it"
+
+
+@check("rx-max-of-set", 4, "in DATA and EDGES: that of the HELLO before STREAM_SET")
+def rx_max_of_set(device: Device) -> str:
+    """Frames are no longer than the rx_max of the HELLO before STREAM_SET, whatever a later HELLO says."""
+    device.probe.hello(rx_max=128)
+    narrow = min(device.channels, key=width)
+    told = device.configure(0, [narrow.id], device.pwm_hz, latency_ms=1000)
+    device.probe.hello()
+    device.start_streams(1)
+    blocks = device.streamed(0, WATCHED)
+    most = max(STREAM_HEADER.size + len(block.data) for block in blocks)
+    if most > 128 or told.reply.block * width(narrow) > 128 - STREAM_HEADER.size:
+        raise Failed(f"a host that accepts 128 bytes gets frames of {most} bytes; block {told.reply.block}")
+    return f"{len(blocks)} frames of up to {most} bytes, block {told.reply.block}"
+
+
+@either("status", 13, "bits 0-2 hold the state")
+def status(device: Device) -> str:
+    """The channel `status` holds the state of the heartbeats."""
+    channel = next((c for c in device.channels if c.name == "status"), None)
+    if channel is None:
+        raise NotApplicable("the device has no channel `status`")
+    told = device.stream((channel,), RATE)
+    device.probe.listen(WATCHED / 2)
+    found = {raw[0] & 7 for raw in _instants(device, told, (channel,)).values()}
+    state = device.fresh().state
+    if not found:
+        raise Unknown("no sample received")
+    if found != {state}:
+        raise Failed(f"the samples have state {', '.join(map(str, sorted(found)))}, heartbeats {int(state)}")
+    return f"the samples have state {int(state)}, and so have heartbeats"
+
+
+@either("wraps", 9, "an angle in [-pi, pi)")
+def wraps(device: Device) -> str:
+    """Angles with the flag WRAPS lie in [-pi, pi)."""
+    chosen = [channel for channel in device.channels if channel.flags & Flag.WRAPS][: 3 if device.probe.line.bus else 8]
+    if not chosen:
+        raise NotApplicable("no channel has the flag WRAPS")
+    told, _ = _within(device, chosen, RATE, LOADED)
+    device.start_streams(1)
+    device.probe.listen(WATCHED)
+    samples = _instants(device, told, tuple(chosen))
+    if not samples:
+        raise Unknown("no sample received")
+    for at, sample in samples.items():
+        for channel, raw in zip(chosen, _split(sample, tuple(chosen)), strict=True):
+            value = float(np.frombuffer(raw, channel.raw.dtype)[0]) * channel.scale + channel.offset
+            if not -math.pi - ROUNDED <= value < math.pi + ROUNDED:
+                raise Failed(f"{channel.name} at {at} is {value:.6g} rad")
+    return f"{len(samples)} samples of {counted(len(chosen), 'channel')}"
 
 
 # -- what is in the samples -------------------------------------------------------------------------------------------
@@ -295,26 +407,39 @@ def _streamed_both_ways(device: Device) -> Both:
 
 @either("hall-inputs", 12, "a set is no movement of the shaft")
 def hall_inputs(device: Device) -> str:
-    """With all inputs taken as inverted, the other level of each Hall sensor is shown, and no edge is counted."""
+    """With inputs taken as inverted or exchanged, the code is as by SPEC's table, and no edge is counted."""
     record, channel = device.named("hall_invert_hat"), next((c for c in device.channels if c.name == "hall"), None)
     if record is None or channel is None:
         raise NotApplicable("the device lacks the parameter hall_invert_hat, or the channel hall")
-    own = device.parameter(record).value
+    exchanged = device.named("hall_swap_hat")
+    own = int(device.parameter(record).value)
+    swap = 0 if exchanged is None else int(device.parameter(exchanged).value)
     first = _codes(device, channel)
     edges = device.fresh().edges
+    told = []
     try:
-        require_granted(device.set(record, int(own) ^ 7), f"hall_invert_hat = {int(own) ^ 7}")
-        inverted = _codes(device, channel)
+        others = [(s, own ^ 2) for s in range(6) if exchanged and s != swap]
+        for s, invert in ((swap, own ^ 7), (swap, own ^ 1), *others):
+            require_granted(device.set(record, invert), f"hall_invert_hat = {invert}")
+            if exchanged:
+                require_granted(device.set(exchanged, s), f"hall_swap_hat = {s}")
+            told.append((s, invert, _codes(device, channel)))
         more = (device.fresh().edges - edges) & MASK
     finally:
         device.put_back(record, own)
+        if exchanged:
+            device.put_back(exchanged, swap)
     last = _codes(device, channel)
     if len(first) != 1 or first != last:
         raise Unknown(f"Hall codes {first} before, {last} after: the shaft must stand")
-    words = f"Hall code {first[0]}, with all inputs inverted {', '.join(map(str, inverted)) or 'none'}"
-    if inverted != [first[0] ^ 7] or more:
-        raise Failed(words + (f", and {counted(more, 'edge')} counted" if more else f", not {first[0] ^ 7}"))
-    return f"{words}, no edge counted"
+    pins = next(pins for pins in range(8) if HALL_ROWS[swap][pins ^ own] == first[0])
+    for s, invert, codes in told:
+        if codes != [due := HALL_ROWS[s][pins ^ invert]]:
+            words = f"hall_swap_hat {s}, hall_invert_hat {invert} (was {swap}, {own})"
+            raise Failed(f"Hall codes {codes} with {words}; before {first[0]}, due {due}")
+    if more:
+        raise Failed(f"{counted(more, 'edge')} counted for another hall_invert_hat or hall_swap_hat")
+    return f"Hall code {first[0]}; {len(told)} other ways to read the inputs: codes as by the table, no edge counted"
 
 
 def _codes(device: Device, channel: Channel) -> list[int]:

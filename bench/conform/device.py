@@ -247,11 +247,12 @@ class Device:
         self.start_streams(1)
         return told
 
-    def configure_edges(self, stream: int) -> Configured:
+    def configure_edges(self, stream: int, decimation: int = 1, latency_ms: int = 20) -> Configured:
         """Configure a stream of edges. Raises NotApplicable, Unknown."""
         self.require_edges()
-        answer = require_granted(self.stream_set(stream, (), event=StreamEvent.EDGES), "STREAM_SET of edges")
-        return Configured(read(answer.frame, StreamReply), StreamSet(stream, StreamEvent.EDGES, 1, 20))
+        answer = self.stream_set(stream, (), decimation, latency_ms, StreamEvent.EDGES)
+        reply = read(require_granted(answer, "STREAM_SET of edges").frame, StreamReply)
+        return Configured(reply, StreamSet(stream, StreamEvent.EDGES, decimation, latency_ms))
 
     def start_streams(self, mask: int) -> None:
         """Start them. Raises Unknown."""

@@ -25,7 +25,7 @@ SOME = 6  # parameters whose refusals are checked: the others behave alike
 
 @check("read", 9, "A parameter is a finite float32")
 def read_all(device: Device) -> str:
-    """Each parameter is finite and within its range."""
+    """Each parameter is finite and within its range, and so is its default."""
     records = device.parameters()
     for record in records:
         answer = device.probe.ask(MessageType.PARAM_GET, ParamGet(record.id).pack())
@@ -39,6 +39,8 @@ def read_all(device: Device) -> str:
             raise Failed(f"{words}, default {told.default:g}: not all finite")
         if not told.lo <= told.value <= told.hi:
             raise Failed(f"{words}: out of range")
+        if not told.lo <= told.default <= told.hi:
+            raise Failed(f"{words}: its default {told.default:g} is out of range")
         if record.flags & Flag.WHOLE and told.value != round(told.value):
             raise Failed(f"{words}: WHOLE, but not a whole number")
     return f"{len(records)} parameters, all finite and within their ranges"
@@ -138,4 +140,4 @@ def commit(device: Device) -> str:
 
     if device.hello.features & Feature.COMMIT:
         raise NotApplicable("parameters can be stored: not tried")
-    return device.probe.refused(ErrorCode.NOT_SUPPORTED, None, MessageType.PARAM_COMMIT)
+    return device.probe.refused(ErrorCode.NOT_SUPPORTED, 0, MessageType.PARAM_COMMIT)

@@ -223,7 +223,8 @@ class CanCarrier(Carrier):
         for stream.decimation in range(asked, 65536):
             stream.block = 1 if stream.edges or len(groups) > 1 else stream.most_in(ROOM, pwm_hz)
             stream.load = self._load(stream, groups, pwm_hz)
-            if taken + stream.load <= MOST_LOAD:
+            stream.total = taken + stream.load
+            if stream.total <= MOST_LOAD:
                 break
         else:
             raise Refusal(Code.DOES_NOT_FIT, 0)

@@ -12,7 +12,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
-from math import isfinite, nan
+from math import copysign, isfinite, nan
 from typing import Any
 from zlib import crc32
 
@@ -302,7 +302,7 @@ class Device:
     def param_commit(self, message: Message, peer: Peer) -> bytes:
         if self.outputs_on:
             raise Refusal(Code.WRONG_STATE, self.state)
-        raise Refusal(Code.NOT_SUPPORTED, Type.PARAM_COMMIT)
+        raise Refusal(Code.NOT_SUPPORTED)
 
     # -- states -------------------------------------------------------------------------------------------------
 
@@ -344,9 +344,13 @@ class Device:
             raise Refusal(Code.WRONG_STATE, self.state)
         if self.state == State.ARMED:
             self.started_at = self.seconds
-            self.motor.setpoint = Mode.CURRENT, 0.0
+            self.motor.setpoint = self.at_start()
             self.enter(State.RUNNING)
         return self.state
+
+    def at_start(self) -> tuple[Mode, float]:
+        """The setpoint with which RUNNING begins."""
+        return Mode.CURRENT, 0.0
 
     def stop(self) -> State:
         self.motor.setpoint = None
@@ -422,7 +426,7 @@ class Device:
         speed = mode == Mode.SPEED
         limit = self.value("omega_m_max", OMEGA_M_MAX) if speed else self.value("i_max", I_MAX)
         if abs(value) > limit:
-            raise Refusal(Code.OUT_OF_RANGE, limit)
+            raise Refusal(Code.OUT_OF_RANGE, copysign(limit, value))
         self.motor.setpoint = Mode(mode), value
 
     # -- streams ------------------------------------------------------------------------------------------------
@@ -443,7 +447,7 @@ class Device:
         self.carrier.plan(stream, others, self.pwm_hz, self.boot_id)
         self.streams[number] = stream
         return struct.pack(
-            "<BxHHHfBxxxQ", number, stream.cfg_id, stream.sample_bytes, stream.block, stream.load, stream.slot, 0
+            "<BxHHHfBxxxQ", number, stream.cfg_id, stream.sample_bytes, stream.block, stream.total, stream.slot, 0
         )
 
     def stream_start(self, message: Message, peer: Peer) -> bytes:

@@ -35,6 +35,8 @@ class Stream:
     """Most records in a frame; with slot and load filled in by the carrier."""
     slot: int = 0
     load: float = 0.0
+    total: float = 0.0
+    """With the load of all others."""
     running: bool = False
     seq: int = 0
     overrun: bool = False
@@ -54,7 +56,7 @@ class Stream:
         if event == Source.EDGES:
             if ids:
                 raise Refusal(Code.BAD_VALUE, len(ids))
-            return cls(number, event, 1, latency_ms, ())
+            return cls(number, event, decimation, latency_ms, ())
         if not decimation or not ids:
             raise Refusal(Code.BAD_VALUE, 0)
         for place, one in enumerate(ids):
