@@ -390,7 +390,7 @@ def overload(device: Device) -> str:
 def edges(device: Device) -> str:
     """Each edge has its own frame, numbered consecutively."""
     device.require_edges()
-    numbers = [index for index, _, _ in turned(device).edges]
+    numbers = [edge.index for edge in turned(device).edges]
     if len(numbers) < 2:
         raise Unknown(f"only {len(numbers)} edges received")
     if any((after - before) % 256 != 1 for before, after in pairwise(numbers)):

@@ -42,9 +42,45 @@ def accepted_mode(device: Device) -> SetpointMode:
 
 @check("length", 8, "Only a setpoint of the wrong length is also refused with an ErrorReply")
 def length(device: Device) -> str:
-    """A SETPOINT of 11 bytes is refused with tid 0, before the state is checked."""
-    answer = device.probe.ask_frame(device.probe.frame(MessageType.SETPOINT, payload(1, 1)[:11]), tries=1)
-    return refusal(answer, ErrorCode.BAD_LENGTH, 11, "SETPOINT of 11 bytes in IDLE")
+    """A SETPOINT of 11 or 13 bytes is refused with tid 0, before the state is checked, and counts as rejected."""
+    before, since = device.fresh(), len(device.probe.heard)
+    words = []
+    for n in (11, 13):
+        frame = device.probe.frame(MessageType.SETPOINT, (payload(1, 1) + b"\0")[:n])
+        answer = device.probe.ask_frame(frame, tries=1)
+        words.append(refusal(answer, ErrorCode.BAD_LENGTH, n, f"SETPOINT of {n} bytes in IDLE"))
+    counted = (device.fresh().setpoints_rejected - before.setpoints_rejected) & 0xFFFF
+    if counted != 2:
+        raise Failed(f"{'; '.join(words)}; setpoints_rejected counted {counted} of 2")
+    events = [event for _, event in device.probe.came(DeviceEvent, since) if event.code == EventCode.SETPOINT_REJECTED]
+    if events and not _says(events[0], ErrorCode.BAD_LENGTH, 11):
+        raise Failed(f"a SETPOINT of 11 bytes has the EVENT {code_name(events[0])}, detail {events[0].detail:.9g}")
+    return f"{'; '.join(words)}; both counted"
+
+
+@check("unanswered", 3, "their tid is 0 and they have no reply")
+def unanswered(device: Device) -> str:
+    """A SETPOINT is not answered, whether it is accepted or rejected."""
+    probe = device.probe
+    rejected = probe.silence(probe.line.encode(probe.frame(MessageType.SETPOINT, payload(1, 2))), "a SETPOINT in IDLE")
+    device.run()
+    mode = accepted_mode(device)
+    words = [rejected]
+    for each, what in ((mode, "a SETPOINT in RUNNING"), (NO_MODE, "one of an unknown mode")):
+        words.append(probe.silence(probe.line.encode(probe.frame(MessageType.SETPOINT, payload(each, 3))), what))
+    return "; ".join(words)
+
+
+@check("value2-unused", 8, "`value` and `value2` are finite, used or not")
+def value2_unused(device: Device) -> str:
+    """SPEED 0 with a finite value2, which SPEED does not use, is accepted."""
+    device.run()
+    if send(device, SetpointMode.SPEED, 0x0101).setpoint_counter != 0x0101:
+        raise Unknown("SPEED 0 was not accepted")
+    beat = send(device, SetpointMode.SPEED, 0x0102, 0.0, 1e9)
+    if beat.setpoint_counter != 0x0102:
+        raise Failed(f"SPEED 0 with value2 1e9: setpoint_counter {beat.setpoint_counter:#x}, so it was rejected")
+    return "SPEED 0 with value2 1e9: accepted"
 
 
 @check("accepted", 8, "The heartbeat contains the last accepted `counter`")
@@ -69,22 +105,31 @@ def rejections(device: Device) -> Iterator[str]:
     mode = accepted_mode(device)
     nan = (mode, 9, 0.0, math.nan)
     yield _rejected(device, f"{mode.name} 0 with value2 NaN", nan, ErrorCode.BAD_VALUE, math.nan)
+    both = (mode, 9, math.inf, math.nan)
+    yield _rejected(device, f"{mode.name} inf with value2 NaN", both, ErrorCode.BAD_VALUE, math.inf)
+    second = (SetpointMode.SPEED, 9, 0.0, -math.inf)
+    yield _rejected(device, "SPEED 0 with value2 -inf", second, ErrorCode.BAD_VALUE, -math.inf)
     unknown = (NO_MODE, 10, 0.0, math.inf)
     yield _rejected(device, f"mode {NO_MODE} with value2 inf", unknown, ErrorCode.BAD_VALUE, math.inf)
     yield _rejected(device, f"mode {NO_MODE}", (NO_MODE, 11), ErrorCode.NOT_SUPPORTED, NO_MODE)
+    yield _rejected(device, "mode 0 with 1e30", (0, 12, 1e30, 0.0), ErrorCode.NOT_SUPPORTED, 0)
 
 
 def _rejected(
     device: Device, what: str, given: tuple[int, int] | tuple[int, int, float, float], code: ErrorCode, detail: float
 ) -> str:
-    since = len(device.events(EventCode.SETPOINT_REJECTED))
-    send(device, *given)
+    since, began = len(device.events(EventCode.SETPOINT_REJECTED)), device.probe.tick()[0]
+    beat = send(device, *given)
+    if beat.setpoint_counter == given[1]:
+        raise Failed(f"{what}: setpoint_counter is {given[1]}, so it was accepted")
     events = device.events(EventCode.SETPOINT_REJECTED)[since:]
     if not events:
         raise Unknown(f"{what}: no EVENT SETPOINT_REJECTED received; a device may drop it")
     if not _says(events[0], code, detail):
         told = f"{code_name(events[0])}, detail {events[0].detail:.9g}"
         raise Failed(f"{what}: {told}, not {code.name}, detail {detail:.9g}")
+    if not began <= events[0].tick <= beat.tick or events[0].node != device.probe.node:
+        raise Failed(f"{what}: an EVENT of node {events[0].node}, tick {events[0].tick}, not {began} to {beat.tick}")
     return f"{what}: {code.name}, detail {detail:.9g}"
 
 
@@ -103,7 +148,12 @@ def _says(event: DeviceEvent, code: ErrorCode, detail: float) -> bool:
     "A rejected setpoint changes nothing and does not feed the watchdog; `setpoints_rejected` is incremented",
 )
 def rejected_counted(device: Device) -> str:
-    """Each rejected setpoint is counted, and setpoint_counter does not change."""
+    """Each rejected setpoint is counted, in every state, and setpoint_counter does not change."""
+    idle = device.fresh().setpoints_rejected
+    for n in range(2):
+        device.probe.send(device.probe.frame(MessageType.SETPOINT, payload(1, 0x0300 + n)))
+    if (counted := (device.fresh().setpoints_rejected - idle) & 0xFFFF) != 2:
+        raise Failed(f"2 rejected in IDLE: setpoints_rejected counted {counted}")
     device.run()
     before = send(device, accepted_mode(device), 0x0100)
     for n in range(3):
