@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 
 from bench.conform.checks import Carrier, Group
 from bench.conform.data import bus_samples
-from bench.conform.device import Device, ids, width
+from bench.conform.device import PATIENCE, Device, ids, width
 from bench.conform.levels import CAN, MOTION, STATES, STREAMS
 from bench.conform.lines import BusLine, changed, cut, remote
 from bench.conform.motion import turned
-from bench.conform.probe import GRACE, HELLO, accepted, read, refusal
+from bench.conform.probe import GRACE, HELLO, accepted, name_of, read, refusal
 from bench.conform.verdicts import Failed, NotApplicable, Unknown
+from protocol.canmap.frame import BRS, FDF
 from protocol.canmap.ids import BROADCAST, STATUS_SLOTS, CanClass, CanId
 from protocol.canmap.layout import MAX_GROUPS, edge_load, sample_layout
 from protocol.codes import DriveState, ErrorCode, MessageType
 from protocol.descriptor import Channel
 from protocol.framing import Frame
-from protocol.messages import BlobRead, StreamReply
+from protocol.messages import BlobRead, BlobReply, StreamGet, StreamInfo, StreamReply
+from protocol.streams import MAX_DECIMATION
 from protocol.text import counted
 
 bus = Group("can", CAN, Carrier.BUS)
 
 REQUEST = BlobRead(0, 8, 0).pack()
 OTHER_HOST = 11
+SINGLE = 0xC0  # bits of the tail of a transfer in one frame
+OTHER_ID = 9  # a transfer id
+SLOW = 10.0  # Hz
 LONG = 70  # bytes: more than a frame of CAN FD takes
 MOST_LOAD = 0.95
 LOAD_ERROR = 0.01
@@ -107,14 +112,21 @@ def first_frame_again(device: Device) -> str:
 
 @bus("damage-is-counted", 16, "a damaged transfer is not answered, and `rx_bad` counts it", needs=0)
 def damage_is_counted(device: Device) -> str:
-    """rx_bad counts abandoned transfers."""
-    before = device.fresh().rx_bad
-    for _ in range(3):
-        _, records = _request(device)
-        _silent(device, [changed(records[0], 3, 1), *records[1:]], "a transfer with a changed bit")
-    if (counted := device.fresh().rx_bad - before) != 3:
-        raise Failed(f"rx_bad counted {counted} of 3 damaged transfers")
-    return "rx_bad counted 3 of 3"
+    """rx_bad counts each damaged or abandoned transfer once, whatever is wrong with it."""
+    (single,) = cut(device.bus.encode(device.probe.frame(MessageType.TIME_SYNC)))
+    kinds: dict[str, Callable[[list[bytes]], list[bytes]]] = {
+        "a changed bit": lambda records: [changed(records[0], 3, 1), *records[1:]],
+        "a wrong toggle": lambda records: [records[0], changed(records[1], -1, 0x20), *records[2:]],
+        "another transfer id": lambda records: [records[0], changed(records[1], -1, 0x07), *records[2:]],
+        "no last frame": lambda records: records[:1],
+        "a wrong len": lambda records: [changed(single, 4, 0x40)],
+    }
+    for words, damaged in kinds.items():
+        before = device.fresh().rx_bad
+        _silent(device, damaged(_request(device)[1]), f"a transfer with {words}")
+        if (counted := (device.fresh().rx_bad - before) & 0xFFFFFFFF) != 1:
+            raise Failed(f"rx_bad counted {counted} for a transfer with {words}")
+    return f"rx_bad counted one for each of {', '.join(kinds)}"
 
 
 @bus("repeated-frame", 16, "It ignores a frame that is identical to the previous one on its identifier", needs=0)
@@ -133,11 +145,63 @@ def repeated_frame(device: Device) -> str:
 
 @bus("ids-count", 16, "The transfer id counts the transfers on each identifier", needs=0)
 def ids_count(device: Device) -> str:
-    """The transfer ids of replies are consecutive."""
+    """The transfer ids of replies are consecutive, and so are those of heartbeats."""
     found = [device.probe.ask(MessageType.TIME_SYNC, tries=1).heard.transfer for _ in range(6)]
-    if any((after - before) % 32 != 1 for before, after in pairwise(found)):
-        raise Failed(f"six replies have transfer ids {found}")
-    return f"six replies have transfer ids {', '.join(map(str, found))}"
+    for _ in range(4):
+        device.probe.beat()
+    heard = [each for each in device.probe.heard if each.frame.type == MessageType.HEARTBEAT]
+    beats = [each.transfer for each in heard if each.frame.node == device.probe.node]
+    for what, row in (("replies", found), ("heartbeats", beats)):
+        if any((after - before) % 32 != 1 for before, after in pairwise(row)):
+            raise Failed(f"{what} have transfer ids {row}")
+    return f"six replies have transfer ids {', '.join(map(str, found))}; heartbeats {', '.join(map(str, beats))}"
+
+
+@bus("frames-sent", 16, "an FD device sends FD frames only, with the bit-rate switch", needs=0)
+def frames_sent(device: Device) -> str:
+    """Frames are of the kind of the bus, and bytes that fill an FD frame up are 0."""
+    line = device.bus
+    line.records.clear()
+    device.probe.ask(MessageType.BLOB_READ, REQUEST)
+    device.probe.ask(MessageType.TIME_SYNC)
+    device.probe.beat()
+    own = [(flags, part) for flags, parts, part in line.records if parts.node == device.probe.node]
+    for flags, part in own:
+        if bool(flags & FDF) != line.rates.fd or (line.rates.fd and not flags & BRS):
+            kind = f"FD, bit-rate switch {bool(flags & BRS)}" if flags & FDF else "classic"
+            raise Failed(f"a frame is {kind}, the bus is {line.rates}")
+        used = 6 + int.from_bytes(part[4:6], "little")
+        if part[-1] & SINGLE == SINGLE and any(part[used:-1]):
+            raise Failed(f"a frame is filled up with {part[used:-1].hex()}")
+    return f"{len(own)} frames of the kind of the bus"
+
+
+@bus("classic-accepted", 16, "and accepts classic ones too", needs=0)
+def classic_accepted(device: Device) -> str:
+    """On an FD bus, a classic frame is taken."""
+    line, probe = device.bus, device.probe
+    if not line.rates.fd:
+        raise NotApplicable("the bus is classic")
+    frame = probe.frame(MessageType.TIME_SYNC)
+    flags, tid = frame.flags, frame.tid
+    part = struct.pack("<BBHH", frame.type, flags, tid, 0) + bytes([SINGLE | 0x20 | OTHER_ID])
+    answer = probe.ask_frame(frame, wire=line.record(line.address(frame), part, fd=False))
+    return accepted(answer, "a TIME_SYNC in a classic frame")
+
+
+@bus("status-slots", 16, "| 1 STATUS | device | 4 HEARTBEAT, 2 EVENT, 3 LOG | transfer |", needs=0)
+def status_slots(device: Device) -> str:
+    """What a device sends unasked is on the identifier of its type; refusals of ALIVE go to host 0."""
+    probe, line = device.probe, device.bus
+    probe.beat()
+    for each in probe.heard:
+        if not each.frame.is_reply and each.slot != STATUS_SLOTS.get(each.frame.type):
+            raise Failed(f"{name_of(each.frame.type)} came in slot {each.slot}")
+    alive = probe.frame(MessageType.ALIVE, bytes(4), tid=5)
+    slot = probe.ask_frame(alive, wire=line.encode(alive)).heard.slot
+    if slot:
+        raise Failed(f"the refusal of an ALIVE with a tid was sent to host {slot}, not to host 0")
+    return f"{len(probe.heard)} messages on the identifiers of their types; a refusal of ALIVE went to host 0"
 
 
 @bus("kept-transfer-id", 16, "A kept reply is sent again with its original transfer id", needs=0)
@@ -227,6 +291,12 @@ def host_numbers(device: Device) -> str:
     slots = {parts.slot for _, parts, _ in line.records if parts.kind == CanClass.TO_HOST and parts.node == probe.node}
     if slots != {host}:
         raise Failed(f"host {host} was answered on slots {sorted(slots)}")
+    small = probe.frame(MessageType.HELLO, HELLO.pack(probe.tid(), 1, 1, 128))
+    accepted(probe.ask_frame(small, wire=line.transfer(CanId(CanClass.TO_DEVICE, probe.node, host), small)), "HELLO")
+    wide = probe.get(BlobRead(0, 0xFFFF, 0), BlobReply)
+    if len(wide.data) < min(wide.total, device.hello.tx_max - 12):
+        raise Failed(f"the rx_max 128 of host {host} limits what host {line.host} gets: {len(wide.data)} bytes")
+    probe.ask_frame(kept)  # one of the last four again
     again = probe.ask_again(kept)
     if first.heard.transfer != again.heard.transfer:
         raise Failed(f"the HELLO of host {host} cleared the kept replies of host {line.host}")
@@ -238,18 +308,39 @@ def host_numbers(device: Device) -> str:
 
 @bus("stop-frame", 16, "acts as STATE_CMD STOP at once, whatever its slot and data", needs=STATES, critical=True)
 def stop_frame(device: Device) -> str:
-    """A frame of class 0 to the device's node, or to node 0, takes ARMED and RUNNING to IDLE."""
+    """A frame of class 0 to the device's node, or to node 0, takes ARMED and RUNNING to IDLE, whatever else it has."""
     words = []
     for state in (DriveState.ARMED, DriveState.RUNNING):
         for node in (device.probe.node, BROADCAST):
             device.enter(state)
             device.probe.feed_every = None
-            device.probe.write(device.bus.stop(node))
+            since = len(device.probe.heard)
+            slot = 7 if state == DriveState.RUNNING else 0
+            data = bytes(range(8)) if node else b""
+            device.probe.write(device.bus.record(CanId(CanClass.STOP, node, slot), data))
+            device.probe.listen(GRACE)
+            if any(each.frame.is_reply for each in device.probe.heard[since:]):
+                raise Failed(f"a frame of class 0 to node {node} was answered")
             beat = device.fresh()
             if beat.state != DriveState.IDLE or beat.outputs_on:
                 raise Failed(f"a frame of class 0 to node {node} in {state.name}: {beat.state.name}")
             words.append(f"{state.name}, node {node}")
     return f"in {'; '.join(words)}: IDLE, outputs off"
+
+
+@bus("stop-of-others", 16, "a frame of class 0 to a device's node or to node 0 acts as STATE_CMD STOP", needs=STATES)
+def stop_of_others(device: Device) -> str:
+    """A frame of class 0 to another node stops nothing; in FAULT one to the device changes nothing."""
+    device.run()
+    device.probe.write(device.bus.stop(device.probe.node % 15 + 1))
+    if (now := device.fresh()).state != DriveState.RUNNING:
+        raise Failed(f"a frame of class 0 to node {device.probe.node % 15 + 1} led to {now.state.name}")
+    device.probe.feed_every = None
+    device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
+    device.probe.write(device.bus.stop(device.probe.node))
+    if (now := device.fresh()).state != DriveState.FAULT or not now.faults:
+        raise Failed(f"a frame of class 0 in FAULT: {now.state.name}, faults 0x{int(now.faults):x}")
+    return "one to another node: still RUNNING; one in FAULT: still FAULT"
 
 
 # -- streams ----------------------------------------------------------------------------------------------------------
@@ -263,8 +354,20 @@ def _layout(device: Device, chosen: Sequence[Channel], block: int) -> tuple[int,
 
 @bus("slots", 16, "A device assigns a new configuration the slots after those of the previous one", needs=STREAMS)
 def slots(device: Device) -> str:
-    """A new configuration gets the slots after those of the previous one."""
+    """A new configuration gets the slots after those of the previous one, and none that are in use."""
     narrow = min(device.channels, key=width)
+    device.configure(1, [narrow.id], RATE / 4)
+    kept = device.probe.get(StreamGet(1), StreamInfo).slot
+    taken = [device.configure(0, [narrow.id], RATE).reply.slot for _ in range(34)]
+    if kept in taken:
+        raise Failed(f"a configuration got slot {kept}, which stream 1 has")
+    if not any(after < before for before, after in pairwise(taken)) or max(taken) > 31:
+        raise Failed(f"34 configurations have slots {taken}: not a circle of 32")
+    device.stop_streams()
+    if device.offers_edges:
+        edges = [device.configure_edges(0).reply.slot for _ in range(18)]
+        if any((after - before) % 16 not in (1, 2) for before, after in pairwise(edges)) or max(edges) > 15:
+            raise Failed(f"18 configurations of edges have slots {edges}: not a circle of 16")
     found = [device.configure(0, [narrow.id], RATE).reply.slot for _ in range(5)]
     if any(not 0 <= slot < 32 for slot in found):
         raise Failed(f"slots {found}: not all in 0 to 31")
@@ -328,10 +431,44 @@ def counters(device: Device) -> str:
     words = f"{len(found)} frames, {told.reply.block} samples each: {row}, tx_dropped {dropped}"
     if any(n != int(n) for n in lost) or sum(lost) > dropped:
         raise Failed(f"{words}: in steps of {sorted({(b - a) % wrap for a, b in pairwise(found)})}")
+    tick0, period = told.reply.tick0, device.ticks_per_period
+    newest = (device.fresh().tick - tick0) // period // (1 if fd else told.asked.decimation)
+    behind = ((newest - found[-1] + wrap // 2) % wrap - wrap // 2) * (1 if fd else told.asked.decimation)
+    if not -device.pwm_hz / 2 < behind < device.pwm_hz / 2:
+        raise Failed(f"{words}; by the last heartbeat the newest is {newest % wrap}: {behind} periods off")
     early = device.fresh().tick // device.ticks_per_period < 1 << 32  # the counter is the whole index
     if fd and early and any(n % told.asked.decimation for n in found):
         raise Failed(f"{words}: not divisible by {told.asked.decimation}")
     return words
+
+
+@bus("stop-sends-nothing", 16, "STREAM_STOP does not send an incomplete frame", needs=STREAMS)
+def stop_sends_nothing(device: Device) -> str:
+    """STREAM_STOP does not send an incomplete frame."""
+    narrow = min(device.channels, key=width)
+    told = device.stream([narrow], SLOW, latency_ms=10_000)
+    if told.reply.block < 2:
+        raise Unknown(f"a frame holds {told.reply.block} sample")
+    seconds = 0.5 * told.reply.block * told.asked.decimation / device.pwm_hz
+    device.probe.listen(seconds)
+    device.stop_streams()
+    device.probe.listen(0.1)
+    came = len(device.probe.stream_frames)
+    if came:
+        raise Failed(f"{seconds:.2f} s after STREAM_START, with half a frame, {came} frames were sent at STREAM_STOP")
+    return f"STREAM_STOP {seconds:.2f} s after STREAM_START, with half a frame: nothing was sent"
+
+
+@bus("too-many-groups", 16, "or with more than 16 groups, a stream is refused (DOES_NOT_FIT", needs=STREAMS)
+def too_many_groups(device: Device) -> str:
+    """A sample of more than 16 groups is refused with the bytes that 16 of them hold."""
+    chosen = device.channels[: (device.hello.rx_max - 8) // 2]
+    layout = sample_layout([width(channel) for channel in chosen], device.bus.rates.fd, 1)
+    if len(layout.groups) <= MAX_GROUPS:
+        raise NotApplicable(f"all channels together make {counted(len(layout.groups), 'group')}")
+    room = layout.groups[MAX_GROUPS - 1][1]
+    answer = device.stream_set(0, ids(chosen), MAX_DECIMATION)
+    return refusal(answer, ErrorCode.DOES_NOT_FIT, room, f"{len(layout.groups)} groups")
 
 
 @bus("load", 16, "is the largest share of the bus that this device's streams may take", needs=STREAMS)

@@ -560,9 +560,7 @@ def retry_whole_request(device: Device) -> str:
     for what, frame in others.items():
         answer = probe.ask_frame(frame)
         told = answer.frame.payload[2:8] if answer.error is None else answer.error.code
-        due: object = {"type": ErrorCode.UNKNOWN_ID, "wrong length": ErrorCode.BAD_LENGTH}.get(
-            what, frame.payload[2:8]
-        )
+        due: object = {"type": ErrorCode.UNKNOWN_ID, "wrong length": ErrorCode.BAD_LENGTH}.get(what, frame.payload[2:8])
         if told != due:
             raise Failed(f"a request with the tid of another one, but another {what}, had that one's reply: {answer}")
     effect = probe.frame(*_effect(device))

@@ -474,8 +474,8 @@ def starts_at_rest(device: Device) -> str:
         device.rest()
         if not _stands(device, channel, told):
             raise Unknown("the shaft does not come to rest")
-        for step in (lambda: None, device.arm):
-            step()
+        for state in (DriveState.IDLE, DriveState.ARMED):
+            device.enter(state)
             if not turns:
                 send(device, SetpointMode.SPEED, 1, speed)
         require_granted(probe.command(Command.START), "START")

@@ -40,6 +40,9 @@ STOP_FRAME = -1
 class Carrier:
     """Messages over a port."""
 
+    whole = False
+    """Whether less than a frame of samples is never sent."""
+
     def __init__(self, port: Port | None = None) -> None:
         self.port = port
         self._waiting = bytearray()
@@ -152,6 +155,7 @@ class CanCarrier(Carrier):
     """Node 1 on a classic bus, chapter 16; the port's bytes are CAN_RECORDs."""
 
     assembler = Reassembler
+    whole = True
     for_everybody: tuple[int, ...] = (Type.HELLO,)
     """Types of what is answered at node 0."""
 

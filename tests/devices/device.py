@@ -479,7 +479,7 @@ class Device:
 
     def flush(self, stream: Stream, everything: bool = False) -> None:
         """Send what is full or late; edges at once, so that they are ahead of the samples after them."""
-        for records in stream.take(self.tick(), everything or stream.edges):
+        for records in stream.take(self.tick(), everything or stream.edges, self.carrier.whole):
             if dropped := self.carrier.emit(stream, records, self.node):
                 self.dropped(stream, dropped)
             else:
