@@ -55,9 +55,9 @@ HELLO = struct.Struct("<IBBH")
 
 
 class NoAnswer(Failed):
-    """A request was not answered; `kind` is its type if it was a plain one, which is to be answered in any state."""
+    """A request of the type `kind` was not answered."""
 
-    def __init__(self, words: str, kind: int | None = None) -> None:
+    def __init__(self, words: str, kind: int) -> None:
         super().__init__(words)
         self.kind = kind
 
@@ -200,26 +200,32 @@ class Probe:
 
     def listen(self, seconds: float) -> None:
         """Take what comes in so many s."""
-        end = self._end(seconds)
+        left_of = self._attended(seconds)
         slice_ = SLICE if self.feed_every is None else min(SLICE, self.feed_every)
-        while (left := end() - self.now()) > 0:
+        while (left := left_of()) > 0:
             self.poll(min(slice_, left))
 
-    def _end(self, seconds: float) -> Callable[[], float]:
-        """When so many s have passed in which this program was not held up."""
-        end, held = self.now() + seconds, self.held
-        return lambda: end + self.held - held
+    def _attended(self, seconds: float) -> Callable[[], float]:
+        """What is left of so many s, those not counted in which this program was held up."""
+        self._hold(0.0)
+        end, held = self._looked + seconds, self.held
+
+        def left() -> float:
+            self._hold(0.0)
+            return end + self.held - held - self._looked
+
+        return left
 
     def until(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Take what comes until `condition()`, which is of that, holds; whether it did within so many s."""
-        end = self._end(seconds)
+        left_of = self._attended(seconds)
         looked = -1
         while True:
             if len(self.heard) != looked:
                 looked = len(self.heard)
                 if condition():
                     return True
-            left = end() - self.now()
+            left = left_of()
             if left <= 0:
                 return False
             self.poll(min(SLICE, left))
@@ -242,23 +248,25 @@ class Probe:
 
     def ask(self, kind: int, payload: bytes = b"", *, tries: int = TRIES) -> Answer:
         """Send a request, again where it is not answered, and return its answer. Raises NoAnswer."""
-        try:
-            return self.ask_frame(self.frame(kind, payload), tries=1 if kind in self.mute else tries)
-        except NoAnswer as nothing:
-            raise NoAnswer(str(nothing), kind) from None
+        return self.ask_frame(self.frame(kind, payload), tries=tries)
 
     def ask_frame(
         self, frame: Frame, *, tries: int = TRIES, wire: bytes | None = None, patience: float = PATIENCE
     ) -> Answer:
-        """The same for any frame; `wire` is written in its place. Each try waits `patience` s."""
+        """The same for any frame; `wire` is written in its place. Each try waits `patience` s.
+
+        What was not answered before is tried but once.
+        """
+        tries = 1 if frame.type in self.mute else tries
         for _ in range(tries):
             since, sent = len(self.heard), self.now()
             self.write(self.line.encode(frame) if wire is None else wire)
             if self.until(lambda since=since: bool(self.answers(frame, since)), patience + self._longest):  # type: ignore[misc]
                 first = self.answers(frame, since)[0]
+                self.mute.pop(frame.type, None)
                 return Answer(first, first.at - sent)
         often = f" in {tries} tries" if tries > 1 else ""
-        raise NoAnswer(f"{name_of(frame.type)} was not answered within {patience:g} s{often}")
+        raise NoAnswer(f"{name_of(frame.type)} was not answered within {patience:g} s{often}", frame.type)
 
     def ask_again(self, frame: Frame) -> Answer:
         """Repeat a request that has been answered.

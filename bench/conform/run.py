@@ -221,8 +221,10 @@ class _Course:
             evidence = check.evidence(device)
         except NoAnswer as nothing:
             verdict, evidence = nothing.verdict, str(nothing)
-            if nothing.kind is not None and check.id != (first := probe.mute.setdefault(nothing.kind, check.id)):
-                verdict, evidence = Verdict.INVALID, f"{evidence}: {first} failed for that"
+            if check.id != (first := probe.mute.setdefault(nothing.kind, check.id)):
+                verdict, evidence = Verdict.INVALID, f"{evidence}, as {first} has found"
+            if check.critical:
+                self._forbidden = self._forbidden or f"{check.id}: {evidence}"
         except Ended as ended:
             verdict, evidence = ended.verdict, str(ended)
             if isinstance(ended, Hopeless):
