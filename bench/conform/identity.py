@@ -41,6 +41,8 @@ BEHIND = 0.05  # s that a heartbeat may wait on a link that has nothing else to 
 def hello_fields(device: Device) -> str:
     """The fields of HELLO have valid values."""
     answer = _hello(device.probe, 1024)
+    if len(answer.frame.payload) < HelloReply.FIXED_BYTES:
+        raise Unknown("the reply is too short: see link.hello")
     hello = read(answer.frame, HelloReply)
     try:
         check_reply(hello, answer.frame.node)

@@ -238,7 +238,7 @@ for _name, (_words, _made) in DAMAGE.items():
 def damage_is_counted(device: Device) -> str:
     """rx_bad counts each damaged frame."""
     probe, n = device.probe, len(DAMAGE)
-    counted = 0
+    counted = before = 0
     for _ in range(2):  # a link may damage a frame of its own
         before = device.fresh().rx_bad
         for _, made in DAMAGE.values():
@@ -246,7 +246,12 @@ def damage_is_counted(device: Device) -> str:
             probe.listen(GRACE)
         counted = (device.fresh().rx_bad - before) & 0xFFFFFFFF
         if counted == n:
-            return f"rx_bad counted {n} of {n}: CRC, len, COBS, short, long"
+            break
+    probe.hello()
+    if counted == n and (left := (device.fresh().rx_bad - before) & 0xFFFFFFFF) < n:
+        raise Failed(f"rx_bad counted {n} damaged frames, {left} of them after a HELLO")
+    if counted == n:
+        return f"rx_bad counted {n} of {n}: CRC, len, COBS, short, long"
     raise Failed(f"rx_bad counted {counted} of {n} damaged frames")
 
 
@@ -309,6 +314,7 @@ def reserved_bits(device: Device) -> str:
 def padding(device: Device) -> str:
     """Padding bytes are ignored."""
     probe, stop = device.probe, struct.pack("<BBBBI", Command.STOP, 0xA5, 0xA5, 0xA5, 0)
+    require_granted(probe.stop(), "STOP")
     accepted(probe.ask(MessageType.STATE_CMD, stop), "STOP with padding bytes A5")
     padded_get = probe.ask(MessageType.STREAM_GET, b"\x03\xa5\xa5\xa5")
     refusal(padded_get, ErrorCode.UNKNOWN_ID, 3, "STREAM_GET of a free stream, with padding bytes A5")
@@ -670,8 +676,8 @@ def retry_afresh(device: Device) -> str:
         (MessageType.STATE_CMD, struct.pack("<BxxxI", Command.STOP, 0)),
     ):
         frame = probe.frame(kind, payload)
-        for _ in range(2):
-            accepted(probe.ask_frame(frame), name_of(kind))
+        require_granted(probe.ask_frame(frame), name_of(kind))
+        accepted(probe.ask_frame(frame), name_of(kind))
     return f"TIME_SYNC repeated: {again.rx_tick - first.rx_tick} ticks later; HELLO and STOP repeated: answered"
 
 
