@@ -436,11 +436,11 @@ def edges_alone(device: Device) -> str:
 def undisturbed(device: Device) -> str:
     """HELLO, START, refused requests and rejected setpoints leave the speed as it is."""
     probe = device.probe
-    channel, told = _followed(device)
-    with probe.watched(_Watch(device, channel, told.reply.slot, None).look):
+    motion = _Motion(device)
+    with probe.watched(_Watch(device, motion.channel, motion.slot, None).look):
         spin(device)
         probe.listen(RUN_UP)
-        before = _speed(device, channel, told)
+        before = motion.turned()
         for mode, value, value2 in ((NO_MODE, 0.0, 0.0), (1, math.nan, 0.0), (1, 0.0, math.nan)):
             send(device, mode, 0x0BAD, value, value2)
         probe.hello()
@@ -448,7 +448,7 @@ def undisturbed(device: Device) -> str:
         probe.command(Command.ARM, device.hello.boot_id ^ 1)
         probe.command(0)
         probe.listen(RUN_UP)
-        after = _speed(device, channel, told)
+        after = motion.turned()
     if abs(before) < math.pi / 3:
         raise Unknown("no motion seen")
     words = f"{math.degrees(before):.0f}, then {math.degrees(after):.0f} electrical degrees in {STRETCH:g} s"
@@ -461,10 +461,10 @@ def undisturbed(device: Device) -> str:
 def starts_at_rest(device: Device) -> str:
     """A setpoint does not outlast STOP or a fault, and one before START is forgotten: RUNNING begins at rest."""
     probe, speed = device.probe, device.speed_rpm * RPM
-    channel, told = _followed(device)
+    motion = _Motion(device)
     words = []
     for what, turns, trips in (("STOP", True, False), ("a fault", True, True), ("setpoints before it", False, False)):
-        with probe.watched(_Watch(device, channel, told.reply.slot, None).look):
+        with probe.watched(_Watch(device, motion.channel, motion.slot, None).look):
             if turns:
                 spin(device)
                 probe.listen(RUN_UP)
@@ -472,14 +472,14 @@ def starts_at_rest(device: Device) -> str:
                 probe.feed_every = None
                 device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
         device.rest()
-        if not _stands(device, channel, told):
+        if not motion.stands():
             raise Unknown("the shaft does not come to rest")
         for state in (DriveState.IDLE, DriveState.ARMED):
             device.enter(state)
             if not turns:
                 send(device, SetpointMode.SPEED, 1, speed)
         require_granted(probe.command(Command.START), "START")
-        travel = abs(_speed(device, channel, told)) + abs(_speed(device, channel, told))
+        travel = abs(motion.turned()) + abs(motion.turned())
         device.rest()
         words.append(f"{math.degrees(travel):.0f} electrical degrees after {what}")
         if travel > TWITCH:
@@ -487,29 +487,40 @@ def starts_at_rest(device: Device) -> str:
     return ", ".join(words)
 
 
-def _followed(device: Device) -> tuple[Channel, Configured]:
-    """The angle of the encoder, streamed. Raises Unknown where there is none."""
-    channel = reference(device)
-    if channel is None:
-        raise Unknown("the device has no encoder by which its motion shows")
-    told = device.configure(1, ids([channel]), RATE, LATENCY_MS)
-    device.start_streams(2)
-    return channel, told
+class _Motion:
+    """How far the shaft turns, by its encoder, or else by the edges that heartbeats count. Unknown where it has neither."""
 
+    def __init__(self, device: Device) -> None:
+        self._device, self.channel = device, reference(device)
+        self._told: Configured | None = None
+        if self.channel is not None:
+            self._told = device.configure(1, ids([self.channel]), RATE, LATENCY_MS)
+            device.start_streams(2)
+        elif not device.offers_edges:
+            raise Unknown("the device has neither encoder nor edges by which its motion shows")
 
-def _speed(device: Device, channel: Channel, told: Configured) -> float:
-    """Electrical rad by which the encoder turns from now on in STRETCH s."""
-    since = (len(device.probe.heard), len(device.probe.stream_frames))
-    device.probe.listen(STRETCH)
-    angles = _angles(device, channel, told.reply.slot, since)
-    if len(angles) < 2:
-        raise Unknown(f"{len(angles)} samples of {channel.name} received within {STRETCH:g} s")
-    return _turned_by(angles)
+    @property
+    def slot(self) -> int:
+        """Of the stream on CAN."""
+        return self._told.reply.slot if self._told else 0
 
+    def turned(self) -> float:
+        """Electrical rad by which it turns from now on in STRETCH s."""
+        device, probe = self._device, self._device.probe
+        if self.channel is None:
+            before = device.fresh().edges
+            probe.listen(STRETCH)
+            return ((device.fresh().edges - before) & 0xFFFFFFFF) * math.pi / 3
+        since = (len(probe.heard), len(probe.stream_frames))
+        probe.listen(STRETCH)
+        angles = _angles(device, self.channel, self.slot, since)
+        if len(angles) < 2:
+            raise Unknown(f"{len(angles)} samples of {self.channel.name} received within {STRETCH:g} s")
+        return _turned_by(angles)
 
-def _stands(device: Device, channel: Channel, told: Configured) -> bool:
-    """Whether the shaft comes to rest in some seconds."""
-    return any(abs(_speed(device, channel, told)) < TWITCH / 10 for _ in range(COASTS))
+    def stands(self) -> bool:
+        """Whether the shaft comes to rest in some seconds."""
+        return any(abs(self.turned()) < TWITCH / 10 for _ in range(COASTS))
 
 
 @check("watchdog", 7, "When it expires: outputs off, FAULT with the bit WATCHDOG")
