@@ -568,6 +568,6 @@ def _beyond(device: Device, limit: float) -> str:
     events = device.events(EventCode.SETPOINT_REJECTED)[since:]
     if not events and now.setpoints_rejected == was.setpoints_rejected:
         raise Unknown(f"{words}: not accepted, but no rejection seen")
-    if events and (events[-1].arg, events[-1].detail) != (ErrorCode.OUT_OF_RANGE, limit):
+    if events and (events[-1].arg, events[-1].detail) != (ErrorCode.OUT_OF_RANGE, abs(limit)):
         raise Failed(f"{words}: {code_name(events[-1])}, detail {events[-1].detail:.9g}")
-    return f"{words}: rejected with OUT_OF_RANGE, detail {limit:.9g}" if events else f"{words}: rejected"
+    return f"{words}: rejected with OUT_OF_RANGE, detail {abs(limit):.9g}" if events else f"{words}: rejected"

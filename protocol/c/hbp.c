@@ -72,6 +72,11 @@ static size_t text_length(const char *text)
     return n;
 }
 
+static int control(char letter)
+{
+    return (uint8_t)letter < 0x20u || letter == 0x7F;
+}
+
 static int same_text(const char *a, const char *b)
 {
     size_t n = text_length(a);
@@ -188,7 +193,7 @@ void hbp_log(struct hbp *h, uint8_t level, const char *text)
     size_t n = text_length(text), most = h->peer->tx_max - 1u;
     if (n > most) n = most;
     h->link->work[0] = level;
-    memcpy(h->link->work + 1, text, n);
+    for (size_t k = 0; k < n; k++) h->link->work[1 + k] = (uint8_t)(control(text[k]) ? ' ' : text[k]);
     send(h, HBP_RANK_NEWS, HBP_TYPE_LOG, n + 1);
 }
 
@@ -364,10 +369,11 @@ static uint16_t hello(struct hbp *h, const uint8_t *in, size_t length, size_t *n
         *detail = 128.0f;
         return HBP_ERROR_OUT_OF_RANGE;
     }
-    h->peer->tx_max = rx_max < HBP_TX_MAX ? rx_max : HBP_TX_MAX;
-    if (!h->peer->greeted || nonce != h->peer->nonce) { /* a new host may use the same tids again */
+    if (!h->peer->greeted || nonce != h->peer->nonce || rx_max != h->peer->rx_max) { /* a new host may use the same tids again */
         for (unsigned k = 0; k < HBP_KEPT; k++) h->peer->kept[k].there = 0;
         h->peer->nonce = nonce;
+        h->peer->rx_max = rx_max;
+        h->peer->tx_max = rx_max < HBP_TX_MAX ? rx_max : HBP_TX_MAX;
         h->peer->greeted = 1;
     }
     to = hbp_put32(hbp_put32(to, nonce), h->boot_id);
@@ -719,8 +725,10 @@ static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t length, size
 static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
 {
     const struct hbp_stream *s = &h->streams[in[0] & 3u];
+    uint16_t channels = s->channels, most = (uint16_t)((h->peer->tx_max - 26u) / 2u);
     uint8_t *to = h->link->work;
     (void)length;
+    if (channels > most) channels = most;
     *detail = (float)(HBP_STREAMS - 1);
     if (in[0] >= HBP_STREAMS) return HBP_ERROR_OUT_OF_RANGE;
     *detail = (float)in[0];
@@ -731,8 +739,8 @@ static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t length, size
     *to++ = s->slot;
     to = hbp_put16(hbp_put16(hbp_put16(to, s->decimation), s->latency_ms), s->cfg_id);
     to = hbp_put16(hbp_put16(hbp_put16(to, s->record_bytes), s->block), 0);
-    to = hbp_put16(put64(to, h->config->tick0), s->channels);
-    for (unsigned k = 0; k < s->channels; k++) to = hbp_put16(to, h->config->channels[s->take[k]].id);
+    to = hbp_put16(put64(to, h->config->tick0), channels);
+    for (unsigned k = 0; k < channels; k++) to = hbp_put16(to, h->config->channels[s->take[k]].id);
     return finish(h, to, n);
 }
 
@@ -881,11 +889,10 @@ void hbp_tick(struct hbp *h, const void *sample)
     h->periods = (uint32_t)h->index;
 }
 
-static int neighbours(uint8_t before, uint8_t after)
+static int illegal(uint8_t before, uint8_t after)
 {
-    static const uint8_t sector[8] = {9, 0, 2, 1, 4, 5, 3, 9}; /* of each code */
-    unsigned step = 6u + sector[after & 7u] - sector[before & 7u];
-    return step % 6u == 1u || step % 6u == 5u;
+    unsigned changed = (before ^ after) & 7u;
+    return !(after & 7u) || (after & 7u) == 7u || (changed & (changed - 1u));
 }
 
 void hbp_edge(struct hbp *h, uint32_t tick, uint8_t before, uint8_t after, uint16_t encoder)
@@ -896,7 +903,7 @@ void hbp_edge(struct hbp *h, uint32_t tick, uint8_t before, uint8_t after, uint1
         edge->index = h->edges;
         edge->tick = tick;
         edge->encoder = encoder;
-        edge->codes = (uint8_t)((before & 7u) | (after & 7u) << 3 | (neighbours(before, after) ? 0 : 0x40u));
+        edge->codes = (uint8_t)((before & 7u) | (after & 7u) << 3 | (illegal(before, after) ? 0x40u : 0));
         HBP_BARRIER();
         h->edge_head = (uint16_t)(head + 1u);
     }
@@ -1212,6 +1219,8 @@ void hbp_receive(struct hbp *h, const uint8_t *raw, uint8_t host, int mine)
 static int fits(const char *text, size_t least, size_t most)
 {
     size_t n = text_length(text);
+    for (size_t k = 0; k < n; k++)
+        if (control(text[k])) return 0;
     return n >= least && n <= most;
 }
 

@@ -366,7 +366,7 @@ struct hbp_reply { /* one that is kept */
 
 struct hbp_peer { /* a host */
     uint32_t nonce, used;
-    uint16_t tx_max;
+    uint16_t rx_max, tx_max;
     uint8_t number, greeted, oldest;
     struct hbp_reply kept[HBP_KEPT];
 };
@@ -459,7 +459,7 @@ enum {
     HBP_WRONG_NODE = 0x20000,            /* node 0, one that is there already, beyond 15 on CAN; or role 0 */
     HBP_WRONG_RATE = 0x30000,            /* tick_hz is no multiple of pwm_hz */
     HBP_WRONG_FUNCTION = 0x40000,        /* enter, setpoint or outputs_on is missing */
-    HBP_WRONG_TEXT = 0x50000,            /* no name, or a text that is too long */
+    HBP_WRONG_TEXT = 0x50000,            /* no name, or a text that is too long or has control characters */
     HBP_WRONG_COUNT = 0x60000,           /* more channels than HBP_CHANNELS */
     HBP_WRONG_BUS = 0x70000,             /* hbp_can_init */
     HBP_WRONG_CHANNEL_NAME = 0x110000,   /* empty or longer than 16 bytes */
@@ -515,7 +515,7 @@ void hbp_raise(struct hbp *device, uint32_t faults);
 /* Main loop: latch faults; the outputs go off. */
 void hbp_fault(struct hbp *device, uint32_t faults);
 
-/* Main loop: a line of text for people; `level` as syslog: 3 error, 4 warning, 6 information, 7 debug. */
+/* Main loop: a line of text for people, control characters as spaces; `level` as syslog: 3 error, 4 warning, 6 information, 7 debug. */
 void hbp_log(struct hbp *device, uint8_t level, const char *text);
 
 #ifdef __cplusplus

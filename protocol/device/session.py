@@ -8,6 +8,7 @@ This module never controls a motor: that is the `DeviceApp`'s.
 from __future__ import annotations
 
 import math
+import re
 from collections import defaultdict, deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -69,6 +70,7 @@ __all__ = ["DeviceApp", "DeviceLink", "DeviceSession", "Identity", "TxQueue"]
 
 HEARTBEATS_PER_SECOND = 10
 REPLIES_KEPT = 4
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
 @dataclass(slots=True)
@@ -76,7 +78,7 @@ class _Peer:
     """What is remembered of a host: its last HELLO, and the last requests with their replies."""
 
     tx_max: int
-    nonce: int | None = None
+    hello: tuple[int, int] | None = None  # nonce and rx_max
     replies: deque[tuple[bytes, bytes]] = field(default_factory=lambda: deque(maxlen=REPLIES_KEPT))
 
 
@@ -86,6 +88,9 @@ class DeviceSession:
     def __init__(self, app: DeviceApp, identity: Identity, carrier: Carrier, link_counters: ReceiverCounters) -> None:
         if identity.tick_hz % identity.pwm_hz:
             raise ValueError(f"tick_hz {identity.tick_hz} is no multiple of pwm_hz {identity.pwm_hz}")
+        for text in (identity.name, identity.firmware, identity.serial, identity.build):
+            if _CONTROL.search(text):
+                raise ValueError(f"control characters in {text!r}")
         self.app = app
         self.identity = identity
         self.nodes = 1  # on the link
@@ -118,7 +123,7 @@ class DeviceSession:
             StreamSet: lambda asked: self.streams.configure(asked, self._peer.tx_max),
             StreamStart: lambda asked: self.streams.start(asked.mask),
             StreamStop: lambda asked: self.streams.stop(asked.mask),
-            StreamGet: lambda asked: self.streams.describe(asked.stream),
+            StreamGet: lambda asked: self.streams.describe(asked.stream, self._peer.tx_max),
         }
 
     @property
@@ -159,7 +164,7 @@ class DeviceSession:
 
     def log(self, level: int, text: str) -> None:
         """Send a LOG."""
-        self._send(Log(level, text[: (self._peer.tx_max - 1) // 4]))
+        self._send(Log(level, _CONTROL.sub(" ", text)[: (self._peer.tx_max - 1) // 4]))
 
     def heartbeat(self) -> Heartbeat:
         """Return the health as of now."""
@@ -244,8 +249,8 @@ class DeviceSession:
         identity = self.identity
         peer = self._peer
         peer.tx_max = min(identity.tx_max, request.rx_max)
-        if request.nonce != peer.nonce:  # a new host may use the same tids again
-            peer.nonce = request.nonce
+        if (request.nonce, request.rx_max) != peer.hello:  # a new host may use the same tids again
+            peer.hello = request.nonce, request.rx_max
             peer.replies.clear()
         told = asdict(identity) | {"tx_max": peer.tx_max, "nonce": request.nonce, "nodes": self.nodes}
         del told["tick0"]  # the replies to STREAM_SET have it

@@ -86,14 +86,15 @@ class StreamTable:
         self._look_at_channels()
         return reply
 
-    def describe(self, number: int) -> StreamInfo:
-        """Carry out STREAM_GET; Refused if the stream is not configured."""
+    def describe(self, number: int, tx_max: int) -> StreamInfo:
+        """Carry out STREAM_GET, with as many ids as fit; Refused if the stream is not configured."""
         _check_number(number)
         if number not in self._configured:
             raise Refused(f"stream {number} is not configured", ErrorCode.UNKNOWN_ID, number)
         request, reply = self._configured[number]
         told = asdict(request) | asdict(reply) | {"running": self._streams[number].running}
         del told["load"]
+        told["channels"] = request.channels[: (tx_max - StreamInfo.FIXED_BYTES) // 2]
         return StreamInfo(**told)
 
     def start(self, mask: int) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from unittest.mock import patch
 
 import pytest
 
 from bench.cli import main
+from bench.conform.run import Options
 from tests.devices.device import Device
 
 SPIN = "live TARGET --speed 300 --duration 0.8 --yes --viewer none"
@@ -21,7 +23,7 @@ ACCEPT = "accept TARGET -k test_stop --yes"
 REAL_LINKS = tuple(pytest.param(link, marks=pytest.mark.real_links) for link in ("pty", "tcp", "slcan", "virtual"))
 LINKS = ("bytes", "CAN", *REAL_LINKS)
 CAN = ("CAN", "slcan", "virtual")
-OPENED = ("bench.live.run", "bench.device.description", "bench.rig.connection")
+OPENED = ("bench.live.run", "bench.device.description", "bench.rig.connection", "protocol.links")
 """Modules that open a link."""
 PATIENCE = 30.0  # s that a command may take at most
 
@@ -64,6 +66,7 @@ def bench(command: str, device: Device, capsys: pytest.CaptureFixture[str], pati
         if device.link is not None:
             for place in OPENED:
                 stack.enter_context(patch(f"{place}.open_link", lambda target: device.link))
+            stack.enter_context(patch("bench.conform.run.Options", partial(Options, idle=device.link.idle)))
         code = _main([device.carrier.target if word == "TARGET" else word for word in command.split()])
     took = time.monotonic() - began
     printed = capsys.readouterr()

@@ -12,7 +12,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
-from math import copysign, isfinite, nan
+from math import hypot, isfinite, nan
 from typing import Any
 from zlib import crc32
 
@@ -239,7 +239,7 @@ class Device:
             raise Refusal(Code.BAD_VERSION, MAJOR)
         if rx_max < 128:
             raise Refusal(Code.OUT_OF_RANGE, 128)
-        if nonce != peer.nonce:
+        if (nonce, rx_max) != (peer.nonce, peer.rx_max):
             peer.kept.clear()
         peer.nonce, peer.rx_max = nonce, rx_max
         return HELLO.pack(nonce, *self.hello_fields(rx_max).values())
@@ -425,8 +425,8 @@ class Device:
             raise Refusal(Code.NOT_SUPPORTED, mode)
         speed = mode == Mode.SPEED
         limit = self.value("omega_m_max", OMEGA_M_MAX) if speed else self.value("i_max", I_MAX)
-        if abs(value) > limit:
-            raise Refusal(Code.OUT_OF_RANGE, copysign(limit, value))
+        if (abs(value) if speed else hypot(value, value2)) > limit:
+            raise Refusal(Code.OUT_OF_RANGE, limit)
         self.motor.setpoint = Mode(mode), value
 
     # -- streams ------------------------------------------------------------------------------------------------
@@ -474,7 +474,7 @@ class Device:
             raise Refusal(Code.UNKNOWN_ID, number)
         s = self.streams[number]
         told = (number, s.running, s.event, s.slot, s.decimation, s.latency_ms, s.cfg_id, s.sample_bytes, s.block, 0)
-        ids = [channel.id for channel in s.channels]
+        ids = [channel.id for channel in s.channels][: (min(peer.rx_max, MAX_PAYLOAD) - 26) // 2]
         return struct.pack(f"<BBBBHHHHHxxQH{len(ids)}H", *told, len(ids), *ids)
 
     def flush(self, stream: Stream, everything: bool = False) -> None:
@@ -585,6 +585,7 @@ class Device:
         pole_pairs = self.value("n_p", motor.pole_pairs)
         by_encoder = pole_pairs / motor.pole_pairs if isfinite(pole_pairs) else 1.0
         samples = Samples(
+            period=ticks / TICK_HZ,
             tick=index * ticks,
             index=index,
             theta=theta,

@@ -313,7 +313,7 @@ def _clipped(self: Device, set_point: Callable[..., None], mode: int, value: flo
     except Refusal as refusal:
         if refusal.code != Code.OUT_OF_RANGE:
             raise
-        set_point(mode, refusal.detail, value2)
+        set_point(mode, math.copysign(refusal.detail, value), value2)
 
 
 for _code in (Code.OUT_OF_RANGE, Code.WRONG_STATE, Code.BAD_VALUE):

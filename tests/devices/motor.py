@@ -22,8 +22,9 @@ SIXTH = pi / 3
 
 @dataclass
 class Samples:
-    """One value for each PWM period; SI units, electrical where not said otherwise."""
+    """One value for each PWM period of `period` s; SI units, electrical where not said otherwise."""
 
+    period: float
     tick: np.ndarray
     index: np.ndarray
     theta: np.ndarray  # unwrapped, as the Hall sensors have it
@@ -44,9 +45,9 @@ class Samples:
 
     @property
     def voltage(self) -> np.ndarray:
-        """Complex, in the frame of the stator; 0 where no current flows because the outputs are off."""
+        """In the period before, complex, in the frame of the stator; 0 where no current flows: the outputs are off."""
         turning = (R_S + 1j * self.omega * L_S) * self.i_dq + 1j * self.omega * PSI
-        return np.where(self.i_dq == 0, 0, turning * np.exp(1j * self.theta))
+        return np.where(self.i_dq == 0, 0, turning * np.exp(1j * (self.theta - self.omega * self.period / 2)))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, samples, small_link_in_c, wire_of
+from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, pack_edges, samples, small_link_in_c, wire_of
 from test_same_answers import REQUEST, U8, loose
 from test_vectors import each
 
@@ -61,6 +61,23 @@ def test_the_usage_in_the_header_compiles(tmp_path: Path) -> None:
     file.write_text((HERE / "usage.h").read_text() + "\n".join(code) + "\n")
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-c"]
     subprocess.run([*compiler(), *flags, f"-I{SOURCE}", "-o", tmp_path / "usage.o", file], check=True)
+
+
+def test_an_edge_is_illegal_by_the_code_after_it_or_by_two_inputs_that_change() -> None:
+    link, session, _ = small_link_in_c()
+    link.receive(wire_of(StreamSet(0, StreamEvent.EDGES, 0, 0, ()), 1) + wire_of(StreamStart(1), 2))
+    pairs = np.array([(old, new) for old in range(8) for new in range(8) if old != new])
+    old, new = pairs.T
+    for at in range(len(pairs)):
+        one = np.array([at])
+        session.push_edges(pack_edges(one, old[one], new[one], one < 0, one))
+        link.advance(1000 + at)
+    frames = [frame for frame in frames_in(link.data_to_send()) if frame.type == MessageType.EDGES]
+    codes = np.frombuffer(b"".join(frame.payload[16:] for frame in frames), np.uint8)[4::8]
+    changed = [bin(a ^ b).count("1") for a, b in pairs]
+    illegal = [b in (0, 7) or n > 1 for (_, b), n in zip(pairs, changed, strict=True)]
+    assert [(c & 7, c >> 3 & 7) for c in codes.tolist()] == [(a, b) for a, b in pairs.tolist()]
+    assert (codes >> 6 & 1).tolist() == illegal
 
 
 @each("framing")

@@ -9,6 +9,7 @@ import pytest
 from small_drive import DEFAULTS, SmallDrive, frames_in, identity, small_link, wire_of
 
 from protocol.device.session import DeviceLink
+from protocol.device.tx import TxQueue
 from protocol.errors import Refused
 from protocol.framing import Frame
 from protocol.messages import (
@@ -28,7 +29,12 @@ from protocol.messages import (
     Setpoint,
     SetpointMode,
     StateCommand,
+    StreamEvent,
+    StreamGet,
+    StreamInfo,
+    StreamSet,
 )
+from protocol.signals import Flag, RawType, Signal, Unit
 
 HZ = 20_000_000
 BOOT_ID = 0xB0071D
@@ -53,6 +59,23 @@ class Wire:
         (reply,) = [frame for frame in self.frames() if frame.is_reply and frame.tid == tid]
         assert reply.type == message.TYPE
         return (ErrorReply if reply.is_error else REPLIES[message.TYPE]).unpack(reply.payload)
+
+
+class ManyChannels(SmallDrive):
+    channels = tuple(Signal(n, f"c{n}", Unit.NONE, RawType.U8, 1.0, Flag.CHANNEL, "") for n in range(1, 101))
+
+
+def test_a_stream_is_told_with_as_many_ids_as_the_host_takes() -> None:
+    link = DeviceLink(TxQueue())
+    link.add(ManyChannels(), identity())
+    wire = Wire(link)
+    for rx_max, ids in ((1024, 100), (226, 100), (225, 99), (128, 51)):
+        wire.ask(Hello(7, 1, 1, rx_max))
+        wire.ask(StreamSet(0, StreamEvent.PWM, 1, 0, tuple(range(1, 101))))
+        wire.ask(Hello(7, 1, 1, rx_max))
+        told = wire.ask(StreamGet(0))
+        assert isinstance(told, StreamInfo)
+        assert told.channels == tuple(range(1, ids + 1))
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ import pytest
 from protocol import messages
 from protocol.framing import Frame, encode_frame
 from protocol.messages import Hello, MessageType, Payload
+from protocol.requirements import requirements
 from protocol.streams import EDGE_RECORD, STREAM_HEADER
 from protocol.validity import RECORD_BYTES
 
@@ -29,6 +30,22 @@ def test_generated_tables_are_current() -> None:
     assert make_spec.filled(TEXT) == TEXT
     header = make_spec.HEADER.read_text(encoding="utf-8")
     assert make_spec.c_filled(header) == header
+
+
+def test_requirements_are_numbered_and_say_must_should_or_may() -> None:
+    found = requirements()
+    assert len(found) == len(re.findall(r"\[\d+\.\d+\s+[DH]+\]", TEXT))
+    numbers: dict[int, list[int]] = {}
+    for number, each in found.items():
+        chapter, count = map(int, number.split("."))
+        numbers.setdefault(chapter, []).append(count)
+        heading = TEXT[: TEXT.index(f"[{number} ")].rpartition("\n## ")[2].partition(".")[0]
+        assert chapter == (int(heading) if heading.isdigit() else 0), number
+        row = TEXT.partition(f"[{number} ")[0].endswith("| ")
+        assert row or re.search(r"\b(must|should|may)\b", each.text), number
+        assert not re.search(r"\bshall\b", each.text), number
+    for chapter, counts in numbers.items():
+        assert sorted(counts) == list(range(1, len(counts) + 1)), chapter
 
 
 def walk(layout: struct.Struct) -> Iterator[tuple[int, str]]:
