@@ -54,7 +54,7 @@ def _silent(device: Device, records: Sequence[bytes], what: str) -> str:
     return device.probe.silence(b"".join(records), what)
 
 
-@bus("transfer", 16, "It is split into frames of at most 7 (FD: 63) bytes", needs=0)
+@bus("transfer", "16.13")
 def transfer(device: Device) -> str:
     """A request in several frames is reassembled."""
     frame, records = _request(device)
@@ -62,35 +62,35 @@ def transfer(device: Device) -> str:
     return f"{len(records)} frames: {answer}"
 
 
-@bus("crc", 16, "if the length or CRC is wrong", needs=0)
+@bus("crc", "16.16")
 def crc(device: Device) -> str:
     """A transfer with a wrong CRC is not answered."""
     _, records = _request(device)
     return _silent(device, [changed(records[0], 3, 1), *records[1:]], "a transfer with a changed bit")
 
 
-@bus("length", 16, "if the length or CRC is wrong", needs=0)
+@bus("length", "16.16")
 def length(device: Device) -> str:
     """A single-frame transfer with a wrong len is not answered."""
     (record,) = cut(device.bus.encode(device.probe.frame(MessageType.TIME_SYNC)))
     return _silent(device, [changed(record, 4, 0x40)], "a single-frame transfer with a wrong len")
 
 
-@bus("toggle", 16, "if the toggle or transfer id is not the expected one", needs=0)
+@bus("toggle", "16.16")
 def toggle(device: Device) -> str:
     """A transfer with a wrong toggle is not answered."""
     _, records = _request(device)
     return _silent(device, [records[0], changed(records[1], -1, 0x20), *records[2:]], "a transfer with a wrong toggle")
 
 
-@bus("transfer-id", 16, "if the toggle or transfer id is not the expected one", needs=0)
+@bus("transfer-id", "16.16")
 def transfer_id(device: Device) -> str:
     """A transfer whose transfer id changes is not answered."""
     _, records = _request(device)
     return _silent(device, [records[0], changed(records[1], -1, 0x07), *records[2:]], "a transfer with two ids")
 
 
-@bus("first-frame-missing", 16, "ignores frames until the next first one", needs=0)
+@bus("first-frame-missing", "16.17")
 def first_frame_missing(device: Device) -> str:
     """A transfer without its first frame is ignored, and not counted."""
     _, records = _request(device)
@@ -101,7 +101,7 @@ def first_frame_missing(device: Device) -> str:
     return f"{words}; rx_bad unchanged"
 
 
-@bus("first-frame-again", 16, "if a first frame arrives before the last one", needs=0)
+@bus("first-frame-again", "16.16")
 def first_frame_again(device: Device) -> str:
     """An incomplete transfer is abandoned for the next one, which is answered."""
     _, records = _request(device)
@@ -110,7 +110,7 @@ def first_frame_again(device: Device) -> str:
     return f"after the first frame of another transfer: {answer}"
 
 
-@bus("damage-is-counted", 16, "a damaged transfer is not answered, and `rx_bad` counts it", needs=0)
+@bus("damage-is-counted", "16.17")
 def damage_is_counted(device: Device) -> str:
     """rx_bad counts each damaged or abandoned transfer once, whatever is wrong with it."""
     (single,) = cut(device.bus.encode(device.probe.frame(MessageType.TIME_SYNC)))
@@ -129,7 +129,7 @@ def damage_is_counted(device: Device) -> str:
     return f"rx_bad counted one for each of {', '.join(kinds)}"
 
 
-@bus("repeated-frame", 16, "It ignores a frame that is identical to the previous one on its identifier", needs=0)
+@bus("repeated-frame", "16.15")
 def repeated_frame(device: Device) -> str:
     """A frame received twice in a row is taken once."""
     probe = device.probe
@@ -143,7 +143,7 @@ def repeated_frame(device: Device) -> str:
     return "a TIME_SYNC whose frame was sent twice in a row was answered once"
 
 
-@bus("ids-count", 16, "The transfer id counts the transfers on each identifier", needs=0)
+@bus("ids-count", "16.12")
 def ids_count(device: Device) -> str:
     """The transfer ids of replies are consecutive, and so are those of heartbeats."""
     found = [device.probe.ask(MessageType.TIME_SYNC, tries=1).heard.transfer for _ in range(6)]
@@ -157,7 +157,7 @@ def ids_count(device: Device) -> str:
     return f"six replies have transfer ids {', '.join(map(str, found))}; heartbeats {', '.join(map(str, beats))}"
 
 
-@bus("frames-sent", 16, "an FD device sends FD frames only, with the bit-rate switch", needs=0)
+@bus("frames-sent", "16.1 16.14 16.27")
 def frames_sent(device: Device) -> str:
     """Frames are of the kind of the bus, and bytes that fill an FD frame up are 0."""
     line = device.bus
@@ -176,7 +176,7 @@ def frames_sent(device: Device) -> str:
     return f"{len(own)} frames of the kind of the bus"
 
 
-@bus("classic-accepted", 16, "and accepts classic ones too", needs=0)
+@bus("classic-accepted", "16.1")
 def classic_accepted(device: Device) -> str:
     """On an FD bus, a classic frame is taken."""
     line, probe = device.bus, device.probe
@@ -189,7 +189,7 @@ def classic_accepted(device: Device) -> str:
     return accepted(answer, "a TIME_SYNC in a classic frame")
 
 
-@bus("status-slots", 16, "| 1 STATUS | device | 4 HEARTBEAT, 2 EVENT, 3 LOG | transfer |", needs=0)
+@bus("status-slots", "16.10")
 def status_slots(device: Device) -> str:
     """What a device sends unasked is on the identifier of its type; refusals of ALIVE go to host 0."""
     probe, line = device.probe, device.bus
@@ -204,7 +204,7 @@ def status_slots(device: Device) -> str:
     return f"{len(probe.heard)} messages on the identifiers of their types; a refusal of ALIVE went to host 0"
 
 
-@bus("kept-transfer-id", 16, "A kept reply is sent again with its original transfer id", needs=0)
+@bus("kept-transfer-id", "16.18")
 def kept_transfer_id(device: Device) -> str:
     """A kept reply is sent again with its original transfer id."""
     probe = device.probe
@@ -216,7 +216,7 @@ def kept_transfer_id(device: Device) -> str:
     return f"BLOB_READ repeated: transfer id {again.heard.transfer} again"
 
 
-@bus("node-0-hello", 16, "every device answers with its own node", needs=0)
+@bus("node-0-hello", "16.7")
 def node_0_hello(device: Device) -> str:
     """A HELLO to node 0 is answered with the device's own node."""
     probe = device.probe
@@ -230,14 +230,14 @@ def node_0_hello(device: Device) -> str:
     return f"answered by nodes {', '.join(map(str, nodes))}"
 
 
-@bus("node-0-others", 16, "and nothing else sent there is answered", needs=0)
+@bus("node-0-others", "16.7")
 def node_0_others(device: Device) -> str:
     """Only HELLO is answered at node 0."""
     wire = device.bus.broadcast(device.probe.frame(MessageType.TIME_SYNC))
     return device.probe.silence(wire, "a TIME_SYNC to node 0")
 
 
-@bus("other-node", 16, "A message to an absent node is not answered", needs=0)
+@bus("other-node", "16.3")
 def other_node(device: Device) -> str:
     """A message to another node is not answered."""
     probe = device.probe
@@ -252,9 +252,7 @@ def other_node(device: Device) -> str:
     return f"a TIME_SYNC to node {node} was not answered by node {probe.node}"
 
 
-@bus(
-    "identifier-of-type", 16, "A message on an identifier that does not match its type is ignored and counted", needs=0
-)
+@bus("identifier-of-type", "16.11")
 def identifier_of_type(device: Device) -> Iterator[str]:
     """A request on the identifier of ALIVE, or of class 7, is not answered."""
     node = device.probe.node
@@ -266,7 +264,7 @@ def identifier_of_type(device: Device) -> Iterator[str]:
         yield device.probe.silence(wire, f"a TIME_SYNC on {name}")
 
 
-@bus("other-form", 16, "All HBP on a bus has the same form. Remote frames are not used and are ignored", needs=0)
+@bus("other-form", "16.4")
 def other_form(device: Device) -> str:
     """Identifiers of the other form, and remote frames, are ignored."""
     line, probe = device.bus, device.probe
@@ -278,7 +276,7 @@ def other_form(device: Device) -> str:
     return f"{words}; {probe.silence(wire, 'a remote frame')}"
 
 
-@bus("host-numbers", 16, "A device keeps for each of them what it keeps for a host on a byte link", needs=0)
+@bus("host-numbers", "16.9 16.10")
 def host_numbers(device: Device) -> str:
     """Another host is answered on its own identifier, and does not affect this host's kept replies."""
     probe, line = device.probe, device.bus
@@ -306,7 +304,7 @@ def host_numbers(device: Device) -> str:
 # -- STOP -------------------------------------------------------------------------------------------------------------
 
 
-@bus("stop-frame", 16, "acts as STATE_CMD STOP at once, whatever its slot and data", needs=STATES, critical=True)
+@bus("stop-frame", "16.5", needs=STATES, critical=True)
 def stop_frame(device: Device) -> str:
     """A frame of class 0 to the device's node, or to node 0, takes ARMED and RUNNING to IDLE, whatever else it has."""
     words = []
@@ -328,7 +326,7 @@ def stop_frame(device: Device) -> str:
     return f"in {'; '.join(words)}: IDLE, outputs off"
 
 
-@bus("stop-of-others", 16, "a frame of class 0 to a device's node or to node 0 acts as STATE_CMD STOP", needs=STATES)
+@bus("stop-of-others", "16.5", needs=STATES)
 def stop_of_others(device: Device) -> str:
     """A frame of class 0 to another node stops nothing; in FAULT one to the device changes nothing."""
     device.run()
@@ -352,7 +350,7 @@ def _layout(device: Device, chosen: Sequence[Channel], block: int) -> tuple[int,
     return len(layout.groups), [layout.length(group) for group in range(len(layout.groups))]
 
 
-@bus("slots", 16, "A device assigns a new configuration the slots after those of the previous one", needs=STREAMS)
+@bus("slots", "16.20", needs=STREAMS)
 def slots(device: Device) -> str:
     """A new configuration gets the slots after those of the previous one, and none that are in use."""
     narrow = min(device.channels, key=width)
@@ -379,7 +377,7 @@ def slots(device: Device) -> str:
     return f"five configurations of one group have slots {', '.join(map(str, found))}"
 
 
-@bus("groups", 16, "Channels are divided into groups in the order in which STREAM_SET names them", needs=STREAMS)
+@bus("groups", "16.24 16.26", needs=STREAMS)
 def groups(device: Device) -> str:
     """Each group of channels has its own slot and frame length, and all groups of a sample the same counter."""
     chosen = _some_groups(device)
@@ -412,7 +410,7 @@ def _some_groups(device: Device) -> tuple[Channel, ...]:
     return device.channels
 
 
-@bus("counters", 16, "Losses are counted from the counters", needs=STREAMS)
+@bus("counters", "16.25", needs=STREAMS)
 def counters(device: Device) -> str:
     """Counters continue from frame to frame; missing frames are counted in tx_dropped."""
     chosen = [min(device.channels, key=width)]
@@ -442,7 +440,7 @@ def counters(device: Device) -> str:
     return words
 
 
-@bus("stop-sends-nothing", 16, "STREAM_STOP does not send an incomplete frame", needs=STREAMS)
+@bus("stop-sends-nothing", "16.22", needs=STREAMS)
 def stop_sends_nothing(device: Device) -> str:
     """STREAM_STOP does not send an incomplete frame."""
     narrow = min(device.channels, key=width)
@@ -459,7 +457,7 @@ def stop_sends_nothing(device: Device) -> str:
     return f"STREAM_STOP {seconds:.2f} s after STREAM_START, with half a frame: nothing was sent"
 
 
-@bus("too-many-groups", 16, "or with more than 16 groups, a stream is refused (DOES_NOT_FIT", needs=STREAMS)
+@bus("too-many-groups", "16.23", needs=STREAMS)
 def too_many_groups(device: Device) -> str:
     """A sample of more than 16 groups is refused with the bytes that 16 of them hold."""
     chosen = device.channels[: (device.hello.rx_max - 8) // 2]
@@ -471,7 +469,7 @@ def too_many_groups(device: Device) -> str:
     return refusal(answer, ErrorCode.DOES_NOT_FIT, room, f"{len(layout.groups)} groups")
 
 
-@bus("load", 16, "is the largest share of the bus that this device's streams may take", needs=STREAMS)
+@bus("load", "16.23", needs=STREAMS)
 def load(device: Device) -> Iterator[str]:
     """The load of a stream follows SPEC's formula; edges count as 1000 frames per second."""
     line = device.bus
@@ -494,7 +492,7 @@ def _same_load(reply: StreamReply, due: float, what: str) -> str:
     return f"{what}: {reply.load:.3%}"
 
 
-@bus("overload", 16, "or with more than 16 groups, a stream is refused (DOES_NOT_FIT", needs=STREAMS)
+@bus("overload", "16.23", needs=STREAMS)
 def overload(device: Device) -> str:
     """A bus load beyond 95 % is refused with the smallest decimation that fits; that decimation is accepted."""
     line = device.bus
@@ -521,9 +519,7 @@ def overload(device: Device) -> str:
     return f"{words}; decimation {fits}: load {read(again.frame, StreamReply).load:.1%}"
 
 
-@bus(
-    "edges", 16, "is the record of chapter 11 with the low 8 bits of the edge's index in place of `flags`", needs=MOTION
-)
+@bus("edges", "16.28", needs=MOTION)
 def edges(device: Device) -> str:
     """Each edge has its own frame, numbered consecutively."""
     device.require_edges()

@@ -46,11 +46,10 @@ SETTLE = 0.5  # s after that in which what waited is read
 SLOWED = 8  # times at most that a rate is lowered until a stream takes no more than its share of the link
 HALF = 0.4  # of the link, that each of two streams may take
 LOADED = 0.6  # of the link, that one may take which is to lose nothing while it is read, beside heartbeats
-EDGES_FIRST = "Every edge with a tick not later than that of a DATA frame's last record is sent before that DATA frame"
 SLOWEST = 64  # decimation beyond which a link is too slow to be loaded
 
 
-@check("cfg-id-in-frames", 11, "from STREAM_SET; a host drops frames with any other")
+@check("cfg-id-in-frames", "11.32")
 def cfg_id_in_frames(device: Device) -> str:
     """Frames carry the cfg_id of the present configuration."""
     told = device.stream(device.channels[:1], RATE)
@@ -69,7 +68,7 @@ def cfg_id_in_frames(device: Device) -> str:
     return f"{len(blocks)} frames with cfg_id {again.reply.cfg_id}, none with {told.reply.cfg_id}"
 
 
-@check("frame-fields", 11, "number of records, never 0")
+@check("frame-fields", "11.34 11.15")
 def frame_fields(device: Device) -> str:
     """Frames hold whole records, at most a block of them, and seq starts at 0, at each start."""
     chosen = device.channels[:3]
@@ -102,7 +101,7 @@ def unwrapped(index: int, now: int) -> int:
     return now + _signed(index - now)
 
 
-@check("index-divisible", 11, "Periods whose index is divisible by `decimation` (1..65535) are sampled")
+@check("index-divisible", "11.10")
 def index_divisible(device: Device) -> Iterator[str]:
     """The index of every sample is divisible by the decimation, also where that needs more than a byte."""
     most = device.pwm_hz / MORE_THAN_A_BYTE
@@ -119,7 +118,7 @@ def index_divisible(device: Device) -> Iterator[str]:
         device.probe.heard.clear()
 
 
-@check("tick-of-index", 5, "tick of PWM period 0")
+@check("tick-of-index", "10.3 11.35 5.39")
 def tick_of_index(device: Device) -> str:
     """The tick of a sample is tick0 plus its index times the ticks of a PWM period."""
     told = device.stream(device.channels[:1], RATE)
@@ -135,7 +134,7 @@ def tick_of_index(device: Device) -> str:
     return f"{len(blocks)} frames to index {blocks[-1].index}: {rule}, {newest} periods before the heartbeat"
 
 
-@check("tick-is-now", 11, "A sample's tick is the time at which it was taken, by the clock of TIME_SYNC")
+@check("tick-is-now", "11.17")
 def tick_is_now(device: Device) -> str:
     """The newest samples lie between the TIME_SYNCs before and after them."""
     told = device.stream(device.channels[:1], RATE)
@@ -175,7 +174,7 @@ def _signed(ticks: int) -> int:
     return ((ticks + (1 << 31)) & MASK) - (1 << 31)
 
 
-@check("no-gaps", 11, "DISCONTINUITY means that the index jumps although no frame was lost")
+@check("no-gaps", "11.34 11.35 11.42 11.46 11.48")
 def no_gaps(device: Device) -> str:
     """Without losses, seq and index continue from frame to frame, and no frame has a flag."""
     told, dropped, damaged = device.stream(device.channels[:1], RATE), _dropped(device), device.probe.line.damaged
@@ -193,7 +192,7 @@ def no_gaps(device: Device) -> str:
     return f"{len(blocks)} frames, {sum(block.n for block in blocks)} samples without a gap"
 
 
-@check("in-time", 11, "An incomplete block is sent when its oldest record is `max_latency_ms` old")
+@check("in-time", "11.16")
 def in_time(device: Device) -> str:
     """A frame is sent before its oldest sample is older than max_latency_ms."""
     told = device.stream(device.channels[:1], SLOW, LATENCY_MS)
@@ -214,7 +213,7 @@ def late(device: Device, came: list[tuple[float, int]], latency_ms: int, what: s
     return words
 
 
-@check("only-running", 11, "A stream is free, configured (STREAM_SET) or running (STREAM_START)")
+@check("only-running", "11.7")
 def only_running(device: Device) -> str:
     """Frames come from running streams only: none before STREAM_START, none after STREAM_STOP."""
     device.configure(0, ids(device.channels[:1]), RATE)
@@ -231,7 +230,7 @@ def only_running(device: Device) -> str:
     return f"none before STREAM_START, {came} until STREAM_STOP, none after it"
 
 
-@check("rx-max-of-set", 4, "in DATA and EDGES: that of the HELLO before STREAM_SET")
+@check("rx-max-of-set", "4.18")
 def rx_max_of_set(device: Device) -> str:
     """Frames are no longer than the rx_max of the HELLO before STREAM_SET, whatever a later HELLO says."""
     device.probe.hello(rx_max=128)
@@ -246,7 +245,7 @@ def rx_max_of_set(device: Device) -> str:
     return f"{len(blocks)} frames of up to {most} bytes, block {told.reply.block}"
 
 
-@either("status", 13, "bits 0-2 hold the state")
+@either("status", "13.4")
 def status(device: Device) -> str:
     """The channel `status` holds the state of the heartbeats."""
     channel = next((c for c in device.channels if c.name == "status"), None)
@@ -263,7 +262,7 @@ def status(device: Device) -> str:
     return f"the samples have state {int(state)}, and so have heartbeats"
 
 
-@either("wraps", 9, "an angle in [-pi, pi)")
+@either("wraps", "9.5")
 def wraps(device: Device) -> str:
     """Angles with the flag WRAPS lie in [-pi, pi)."""
     chosen = [channel for channel in device.channels if channel.flags & Flag.WRAPS][: 3 if device.probe.line.bus else 8]
@@ -320,7 +319,7 @@ def bus_samples(device: Device, told: Configured, chosen: tuple[Channel, ...]) -
     return {counter: b"".join(found[n] for n in sorted(found)) for counter, found in whole.items()}
 
 
-@either("same-instants", 11, "two streams with the same decimation are sampled at the same instants")
+@either("same-instants", "11.10")
 def same_instants(device: Device) -> str:
     """Two streams with the same decimation are sampled at the same instants."""
     forth, _, there, backwards = _both_ways(device)
@@ -336,7 +335,7 @@ def same_instants(device: Device) -> str:
     return f"{len(here)} instants from {first} to {last} in both streams"
 
 
-@either("channel-order", 11, "in the order in which STREAM_SET names them")
+@either("channel-order", "11.9")
 def channel_order(device: Device) -> str:
     """Channels are in the order in which STREAM_SET names them, also in the opposite order."""
     chosen = _few(device)
@@ -405,7 +404,7 @@ def _streamed_both_ways(device: Device) -> Both:
     return forth, back, there, backwards
 
 
-@either("hall-inputs", 12, "a set is no movement of the shaft")
+@either("hall-inputs", "12.7 12.4 12.5")
 def hall_inputs(device: Device) -> str:
     """With inputs taken as inverted or exchanged, the code is as by SPEC's table, and no edge is counted."""
     record, channel = device.named("hall_invert_hat"), next((c for c in device.channels if c.name == "hall"), None)
@@ -453,7 +452,7 @@ def _codes(device: Device, channel: Channel) -> list[int]:
     return sorted(found)
 
 
-@check("stop-sends", 11, "STREAM_STOP sends pending records and frees the stream")
+@check("stop-sends", "11.5")
 def stop_sends(device: Device) -> str:
     """STREAM_STOP sends an incomplete block."""
     narrow = min(device.channels, key=width)
@@ -592,7 +591,7 @@ def _dropped(device: Device) -> int:
     return device.fresh().tx_dropped
 
 
-@check("seq-counts-dropped", 11, "counts every frame that the device *produced*, including those that it had to drop")
+@check("seq-counts-dropped", "11.34")
 def seq_counts_dropped(device: Device) -> str:
     """Where samples are missing, seq has a gap."""
     found = overload(device)
@@ -607,7 +606,7 @@ def seq_counts_dropped(device: Device) -> str:
     return f"{found.words}: {gaps} gaps in both index and seq, {found.lost_by_seq} frames missing"
 
 
-@check("tx-dropped", 11, "Frames dropped by the device itself are counted in `tx_dropped`")
+@check("tx-dropped", "11.46 11.47")
 def tx_dropped(device: Device) -> str:
     """Frames lost by seq are those in tx_dropped plus those received damaged."""
     found = overload(device)
@@ -622,7 +621,7 @@ def tx_dropped(device: Device) -> str:
     raise Failed(words)
 
 
-@check("overrun-flag", 11, "the next DATA or EDGES frame of that stream carries OVERRUN")
+@check("overrun-flag", "11.46")
 def overrun_flag(device: Device) -> str:
     """The first frame after a dropped one has OVERRUN, and no other has."""
     found = overload(device)
@@ -641,7 +640,7 @@ def overrun_flag(device: Device) -> str:
 # -- edges ------------------------------------------------------------------------------------------------------------
 
 
-@check("edges-before-samples", 11, EDGES_FIRST)
+@check("edges-before-samples", "11.43")
 def edges_before_samples(device: Device) -> str:
     """Every edge comes before any sample taken at or after it."""
     device.require_edges()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.conform.checks import Carrier, Group
-from bench.conform.data import EDGES_FIRST, edges_ahead, late
+from bench.conform.data import edges_ahead, late
 from bench.conform.device import PATIENCE, Block, Configured, Device, ids, require_granted
 from bench.conform.levels import MOTION
 from bench.conform.probe import accepted, read, state_name
@@ -39,6 +39,7 @@ ALONE, ALONE_MS = 0.8, 60  # s for which it turns with a stream of edges alone, 
 STRETCH = 0.25  # s in which motion is measured
 TWITCH = math.radians(60)  # that a shaft without a setpoint may turn
 COASTS = 24  # STRETCHes that a shaft may need to come to rest
+LITTLE = 2.0**-10  # A: no motor turns by it
 COMMON = 1.05  # a setpoint beyond a limit, over that
 
 
@@ -217,7 +218,7 @@ def _turned_by(angles: NDArray[np.float64]) -> float:
     return float(steps.sum())
 
 
-@check("stop", 7, "STOP is never refused", critical=True)
+@check("stop", "7.9", critical=True)
 def stop(device: Device) -> str:
     """STOP while turning leads to IDLE, outputs off."""
     turn = turned(device)
@@ -226,7 +227,7 @@ def stop(device: Device) -> str:
     return f"at {device.speed_rpm:g} r/min: IDLE in the reply, IDLE and outputs off in a later heartbeat"
 
 
-@check("direction", 12, "Positive rotation passes through the sectors in ascending order")
+@check("direction", "12.2")
 def direction(device: Device) -> str:
     """A positive speed turns the motor forward, by its edges and by its encoder."""
     turn = turned(device)
@@ -245,7 +246,7 @@ def direction(device: Device) -> str:
     return f"{words} at {device.speed_rpm:g} r/min"
 
 
-@check("edges-counted", 5, "Hall edges since boot")
+@check("edges-counted", "10.4 5.14")
 def edges_counted(device: Device) -> str:
     """`edges` in the heartbeat rises by the number of edges received between two heartbeats."""
     device.require_edges()
@@ -272,7 +273,7 @@ def _before(tick: int, other: int) -> bool:
     return 0 < (other - tick) & 0xFFFFFFFF < 1 << 31
 
 
-@check("edges-before-samples", 11, EDGES_FIRST, carrier=Carrier.BYTES)
+@check("edges-before-samples", "11.43", carrier=Carrier.BYTES)
 def edges_before_samples(device: Device) -> str:
     """Every edge comes before any sample taken at or after it."""
     device.require_edges()
@@ -284,9 +285,6 @@ def edges_before_samples(device: Device) -> str:
     return turn.ahead
 
 
-NEIGHBOURS = {codes for pair in pairwise((1, 3, 2, 6, 4, 5, 1)) for codes in (pair, pair[::-1])}
-
-
 def _some(device: Device, least: int = 2) -> list[Edge]:
     """Edges of the turn. Raises NotApplicable, Unknown."""
     device.require_edges()
@@ -296,7 +294,7 @@ def _some(device: Device, least: int = 2) -> list[Edge]:
     return edges
 
 
-@check("edge-codes", 11, "bits 0-2 Hall code before, bits 3-5 after, bit 6 illegal")
+@check("edge-codes", "11.38 11.39 11.41 12.4")
 def edge_codes(device: Device) -> str:
     """The code before an edge is that after the one before it, and "illegal" marks those that it must, and no other."""
     edges = _some(device)
@@ -304,7 +302,9 @@ def edge_codes(device: Device) -> str:
         if one.after != edge.before and (edge.index - one.index) % 256 == 1:
             raise Failed(f"edge {edge.index} is from {edge.before} to {edge.after}, the one before to {one.after}")
     for edge in edges:
-        illegal = edge.after in (0, 7) or (edge.before, edge.after) not in NEIGHBOURS
+        if edge.before == edge.after or edge.codes & 0x80:
+            raise Failed(f"edge {edge.index} has codes 0x{edge.codes:02x}, from {edge.before} to {edge.after}")
+        illegal = edge.after in (0, 7) or (edge.before ^ edge.after).bit_count() > 1
         if bool(edge.codes & 0x40) != illegal:
             words = "marked" if edge.codes & 0x40 else "not marked"
             raise Failed(f"edge {edge.index} from {edge.before} to {edge.after} is {words} as illegal")
@@ -312,7 +312,7 @@ def edge_codes(device: Device) -> str:
     return f"{len(edges)} edges, each from the code to which the one before led; {illegals} illegal"
 
 
-@check("edge-flags", 11, "| 5 | u8 | flags | 0 |", carrier=Carrier.BYTES)
+@check("edge-flags", "11.41", carrier=Carrier.BYTES)
 def edge_flags(device: Device) -> str:
     """The flags of an edge are 0."""
     edges = _some(device, 1)
@@ -321,7 +321,7 @@ def edge_flags(device: Device) -> str:
     return f"{len(edges)} edges with flags 0"
 
 
-@check("edge-ticks", 11, "from input capture")
+@check("edge-ticks", "11.37")
 def edge_ticks(device: Device) -> str:
     """Edges follow one another in time, none is of the future, and they are not all on samples."""
     edges, ended = _some(device, 12), turned(device).ended
@@ -336,7 +336,7 @@ def edge_ticks(device: Device) -> str:
     return f"{len(edges)} edges, each later than the one before it"
 
 
-@check("edge-head", 11, "| 12 | u32 | tick | of the first record |", carrier=Carrier.BYTES)
+@check("edge-head", "11.37 11.34 11.15 11.42", carrier=Carrier.BYTES)
 def edge_head(device: Device) -> str:
     """Frames of edges have the index and tick of their first record, whole records, and consecutive seq from 0."""
     _some(device, 1)
@@ -361,7 +361,7 @@ def edge_head(device: Device) -> str:
     return f"{len(turn.blocks)} frames of edges, with seq from 0 and index from {turn.blocks[0].index}"
 
 
-@check("edge-index", 10, "In EDGES it counts edges since boot, from 0")
+@check("edge-index", "11.36")
 def edge_index(device: Device) -> str:
     """The index of an edge is the number of edges before it, by a heartbeat between the two."""
     edges, beats = _some(device), turned(device).beats
@@ -379,7 +379,7 @@ def edge_index(device: Device) -> str:
     return f"{looked} heartbeats have the index of the edge that follows"
 
 
-@check("edge-encoder", 11, "encoder count latched at the edge, low 16 bits")
+@check("edge-encoder", "11.40")
 def edge_encoder(device: Device) -> str:
     """The encoder's counts at edges advance by as much in each electrical turn; without an encoder they are 0."""
     edges, channel = _some(device, 14), reference(device)
@@ -407,7 +407,7 @@ def edge_encoder(device: Device) -> str:
 FORWARD = set(pairwise((1, 3, 2, 6, 4, 5, 1)))
 
 
-@check("edges-alone", 11, "every Hall edge")
+@check("edges-alone", "11.11 11.16")
 def edges_alone(device: Device) -> str:
     """A stream of edges alone has all edges, none later than max_latency_ms."""
     device.require_edges()
@@ -432,7 +432,7 @@ def edges_alone(device: Device) -> str:
     return f"{words}; {late(device, [(edge.at, edge.tick) for edge in came], ALONE_MS, 'edges')}"
 
 
-@check("undisturbed", 8, "A rejected setpoint changes nothing and does not feed the watchdog")
+@check("undisturbed", "8.11 8.14 7.6 4.15")
 def undisturbed(device: Device) -> str:
     """HELLO, START, refused requests and rejected setpoints leave the speed as it is."""
     probe = device.probe
@@ -457,7 +457,7 @@ def undisturbed(device: Device) -> str:
     return words
 
 
-@check("starts-at-rest", 7, "RUNNING begins at zero current")
+@check("starts-at-rest", "7.3 8.14 8.11")
 def starts_at_rest(device: Device) -> str:
     """A setpoint does not outlast STOP or a fault, and one before START is forgotten: RUNNING begins at rest."""
     probe, speed = device.probe, device.speed_rpm * RPM
@@ -488,7 +488,7 @@ def starts_at_rest(device: Device) -> str:
 
 
 class _Motion:
-    """How far the shaft turns, by its encoder, or else by the edges that heartbeats count. Unknown where it has neither."""
+    """How far the shaft turns, by its encoder or by the edges that heartbeats count; Unknown where it has neither."""
 
     def __init__(self, device: Device) -> None:
         self._device, self.channel = device, reference(device)
@@ -523,7 +523,7 @@ class _Motion:
         return any(abs(self.turned()) < TWITCH / 10 for _ in range(COASTS))
 
 
-@check("watchdog", 7, "When it expires: outputs off, FAULT with the bit WATCHDOG")
+@check("watchdog", "7.28")
 def watchdog(device: Device) -> str:
     """While turning, an unfed watchdog trips: FAULT, outputs off."""
     spin(device)
@@ -540,7 +540,7 @@ def watchdog(device: Device) -> str:
     return words
 
 
-@check("never-clipped", 8, "Values are never clipped")
+@check("never-clipped", "8.1 8.6 8.9")
 def never_clipped(device: Device) -> str:
     """With the limit lowered to --speed, a higher speed is rejected with that limit, in either direction."""
     record = device.named("omega_m_max")
@@ -551,7 +551,10 @@ def never_clipped(device: Device) -> str:
         limit = float(np.float32(device.speed_rpm * RPM))
         require_granted(device.set(record, limit), f"omega_m_max = {limit:g}")
         device.run()
-        return f"{_beyond(device, limit)}; {_beyond(device, -limit)}"
+        words = f"{_beyond(device, limit)}; {_beyond(device, -limit)}"
+        if send(device, SetpointMode.SPEED, 0x0C0D, limit).setpoint_counter != 0x0C0D:
+            raise Failed(f"{words}; the limit itself, {limit:.6g} rad/s, is not accepted")
+        return f"{words}; the limit itself: accepted"
     finally:
         try:
             device.rest()
@@ -571,3 +574,39 @@ def _beyond(device: Device, limit: float) -> str:
     if events and (events[-1].arg, events[-1].detail) != (ErrorCode.OUT_OF_RANGE, abs(limit)):
         raise Failed(f"{words}: {code_name(events[-1])}, detail {events[-1].detail:.9g}")
     return f"{words}: rejected with OUT_OF_RANGE, detail {abs(limit):.9g}" if events else f"{words}: rejected"
+
+
+@check("current-limit", "8.9 8.8 8.6")
+def current_limit(device: Device) -> str:
+    """With `i_max` lowered to next to nothing, a current beyond it is rejected, by magnitude; the limit is accepted."""
+    record = device.named("i_max")
+    if record is None or record.flags & Flag.READ_ONLY:
+        raise NotApplicable("the device has no parameter i_max that can be set")
+    told = device.parameter(record)
+    limit = max(told.lo, LITTLE)
+    if not limit <= told.hi:
+        raise Unknown(f"i_max goes up to {told.hi:g} A")
+    words = []
+    try:
+        require_granted(device.set(record, limit), f"i_max = {limit:g}")
+        device.run()
+        if send(device, SetpointMode.CURRENT, 1).setpoint_counter != 1:
+            raise Unknown("CURRENT 0 was not accepted")
+        for n, (i_q, i_d) in enumerate(((COMMON, 0.0), (-COMMON, 0.0), (0.0, COMMON), (0.8, 0.8)), 0x0100):
+            since = len(device.events(EventCode.SETPOINT_REJECTED))
+            was = send(device, SetpointMode.CURRENT, n, i_q * limit, i_d * limit).setpoint_counter
+            what = f"CURRENT {i_q * limit:.3g}, {i_d * limit:.3g} A"
+            if was == n:
+                raise Failed(f"{what}: accepted, i_max is {limit:g}")
+            events = device.events(EventCode.SETPOINT_REJECTED)[since:]
+            if events and (events[0].arg, events[0].detail) != (ErrorCode.OUT_OF_RANGE, limit):
+                raise Failed(f"{what}: {code_name(events[0])}, detail {events[0].detail:.9g}, i_max is {limit:g}")
+            words.append(what)
+        if send(device, SetpointMode.CURRENT, 2, limit).setpoint_counter != 2:
+            raise Failed(f"CURRENT {limit:g} A, which is i_max, is not accepted")
+        return f"{', '.join(words)}: rejected with {limit:g}; {limit:g} A: accepted"
+    finally:
+        try:
+            device.rest()
+        finally:
+            device.put_back(record, told.value)

@@ -15,12 +15,12 @@ from bench.conform.verdicts import Failed, NotApplicable, Unknown
 from protocol.canmap.layout import sample_layout
 from protocol.codes import ErrorCode, MessageType, StreamEvent
 from protocol.messages import StreamGet, StreamInfo, StreamReply
+from protocol.signals import Flag
 from protocol.streams import MAX_DECIMATION, STREAM_HEADER
 from protocol.text import counted
 
 check = Group("stream", STREAMS)
 
-ORDER = "STREAM_SET is refused by the first of these checks that fails"
 ABSENT = 0xFFF0
 SLOW_HZ = 100.0
 CONFIGURATIONS = 6
@@ -32,7 +32,7 @@ def absent(device: Device) -> int:
     return next(n for n in range(ABSENT, 0, -1) if n not in taken)
 
 
-@check("set-refusals", 11, ORDER)
+@check("set-refusals", "11.18 11.13 11.19 11.20 11.21 11.22 11.23 11.24 11.25")
 def set_refusals(device: Device) -> Iterator[str]:
     """Each error in STREAM_SET is refused with its code and detail."""
     first, other = device.channels[0].id, absent(device)
@@ -52,7 +52,7 @@ def set_refusals(device: Device) -> Iterator[str]:
     return (refusal(device.stream_set(*asked), code, detail, words) for words, asked, code, detail in rows)
 
 
-@check("set-order", 11, ORDER)
+@check("set-order", "11.18")
 def set_order(device: Device) -> Iterator[str]:
     """Of two errors in STREAM_SET, the one that is checked first is reported."""
     first, other = device.channels[0].id, absent(device)
@@ -77,7 +77,7 @@ def set_order(device: Device) -> Iterator[str]:
         yield refusal(edges, ErrorCode.BAD_VALUE, 1, "a running stream and edges with a channel")
 
 
-@check("busy", 11, "the stream is not running")
+@check("busy", "11.26")
 def busy(device: Device) -> str:
     """A running stream cannot be reconfigured."""
     first = device.channels[0].id
@@ -90,7 +90,7 @@ def busy(device: Device) -> str:
     return words
 
 
-@check("too-long", 11, "a sample fits in a frame of tx_max", carrier=Carrier.BYTES)
+@check("too-long", "11.27", carrier=Carrier.BYTES)
 def too_long(device: Device) -> str:
     """A sample too long for a frame is refused with the bytes that fit."""
     tx_max = device.probe.hello(rx_max=128).tx_max
@@ -102,7 +102,7 @@ def too_long(device: Device) -> str:
     return refusal(device.stream_set(0, ids(chosen)), ErrorCode.DOES_NOT_FIT, room, counted(len(chosen), "channel"))
 
 
-@check("cfg-id", 5, "never 0; different for each configuration")
+@check("cfg-id", "5.37")
 def cfg_id(device: Device) -> str:
     """Each configuration has its own cfg_id."""
     first = device.channels[0].id
@@ -112,7 +112,7 @@ def cfg_id(device: Device) -> str:
     return f"{CONFIGURATIONS} configurations have cfg_ids {', '.join(map(str, found))}"
 
 
-@check("reply-fields", 5, "bytes of one record")
+@check("reply-fields", "11.14 5.38")
 def reply_fields(device: Device) -> Iterator[str]:
     """The reply to STREAM_SET has the correct sample_bytes and block, whatever max_latency_ms is."""
     for n, latency in ((1, 200), (3, 200), (len(device.channels), 200), (1, 0), (1, 0xFFFF)):
@@ -140,7 +140,7 @@ def _block(device: Device, told: Configured) -> str:
     return f"block {reply.block} ({fits} fit, {in_time} in time)"
 
 
-@check("get", 5, "How a stream is configured, whichever host did so")
+@check("get", "5.40 11.1")
 def get(device: Device) -> str:
     """STREAM_GET returns the last configuration, and whether the stream is running."""
     chosen = ids(device.channels[:2])
@@ -172,11 +172,7 @@ def get(device: Device) -> str:
     return f"{words}; of edges as they were set"
 
 
-@check(
-    "get-refusals",
-    5,
-    "Refused: OUT_OF_RANGE (a stream above 3, `detail` = 3), UNKNOWN_ID (a free stream, `detail` = its number)",
-)
+@check("get-refusals", "5.41")
 def get_refusals(device: Device) -> tuple[str, ...]:
     """STREAM_GET is refused for a free stream and for one above 3."""
     probe = device.probe
@@ -186,7 +182,7 @@ def get_refusals(device: Device) -> tuple[str, ...]:
     )
 
 
-@check("start-free", 11, "STREAM_START of a free stream is refused")
+@check("start-free", "11.4")
 def start_free(device: Device) -> list[str]:
     """STREAM_START of a free stream is refused with its number, and starts none."""
     probe = device.probe
@@ -200,7 +196,7 @@ def start_free(device: Device) -> list[str]:
     return words
 
 
-@check("mask-0", 11, "A mask of 0 starts or stops none")
+@check("mask-0", "11.6")
 def mask_0(device: Device) -> str:
     """A mask of 0 is answered and does nothing."""
     probe = device.probe
@@ -215,7 +211,7 @@ def mask_0(device: Device) -> str:
     return f"{started}; {stopped}; stream 0 stays configured and is not running"
 
 
-@check("stop-frees", 11, "STREAM_STOP sends pending records and frees the stream")
+@check("stop-frees", "11.5")
 def stop_frees(device: Device) -> str:
     """STREAM_STOP frees a stream, running or not, and ignores streams that are not configured."""
     probe = device.probe
@@ -231,7 +227,7 @@ def stop_frees(device: Device) -> str:
     return words
 
 
-@check("numbers", 11, "A device has streams 0..3")
+@check("numbers", "11.19 11.2")
 def numbers(device: Device) -> Iterator[str]:
     """Each of the streams 0 to 3 can be configured, alone, and its frames have its number."""
     for number in range(4):
@@ -251,7 +247,7 @@ def numbers(device: Device) -> Iterator[str]:
         yield f"stream {number}: cfg_id {told.reply.cfg_id}"
 
 
-@check("mask-selects", 5, "bit n = stream n")
+@check("mask-selects", "11.2 11.5")
 def mask_selects(device: Device) -> str:
     """STREAM_START and STREAM_STOP act on the streams of the mask and on no other."""
     probe, first = device.probe, ids(device.channels[:1])
@@ -282,7 +278,7 @@ def mask_selects(device: Device) -> str:
     return "two streams were started and stopped one by one"
 
 
-@check("hello-leaves-streams", 4, "HELLO is legal in every state and does not change it")
+@check("hello-leaves-streams", "4.15")
 def hello_leaves_streams(device: Device) -> str:
     """A HELLO with another nonce leaves streams as they are: one that runs goes on, with its seq."""
     probe = device.probe
@@ -305,7 +301,33 @@ def hello_leaves_streams(device: Device) -> str:
     return "after a HELLO with another nonce one stream is running, one configured, as before"
 
 
-@check("decimation-ends", 11, "Periods whose index is divisible by `decimation` (1..65535) are sampled")
+@check("memory", "11.30")
+def memory(device: Device) -> str:
+    """There is memory for a stream of all channels that fit in a frame, and for one of edges besides."""
+    chosen = device.fitting(device.channels)
+    answer = device.stream_set(0, ids(chosen), MAX_DECIMATION, 200)
+    words = accepted(answer, f"{counted(len(chosen), 'channel')} that fit in a frame")
+    if not device.offers_edges:
+        return words
+    edges = device.stream_set(1, (), 1, 20, StreamEvent.EDGES)
+    if edges.error is not None and edges.error.code == ErrorCode.DOES_NOT_FIT and edges.error.detail == 0:
+        load = read(answer.frame, StreamReply).load
+        if not load:
+            raise Failed(f"{words}; edges besides: {edges}")
+        return f"{words}, load {load:.1%}; the link does not carry edges besides"
+    return f"{words}; {accepted(edges, 'edges besides')}"
+
+
+@check("on-request", "9.11")
+def on_request(device: Device) -> str:
+    """A channel with the flag ON_REQUEST is streamed where STREAM_SET names it."""
+    chosen = next((channel for channel in device.channels if channel.flags & Flag.ON_REQUEST), None)
+    if chosen is None:
+        raise NotApplicable("no channel has the flag ON_REQUEST")
+    return accepted(device.stream_set(0, [chosen.id], max(1, device.pwm_hz // 100)), chosen.name)
+
+
+@check("decimation-ends", "11.10")
 def decimation_ends(device: Device) -> str:
     """Decimation 65535 is accepted and returned, and so is 1, where the link carries that."""
     narrow = min(device.channels, key=width)
@@ -322,7 +344,7 @@ def decimation_ends(device: Device) -> str:
     return "; ".join(words)
 
 
-@check("load-sums", 11, "The load includes all configured streams of all nodes on the link")
+@check("load-sums", "11.31")
 def load_sums(device: Device) -> str:
     """The load of a second stream includes that of the first."""
     first = ids(device.channels[:1])
@@ -338,11 +360,7 @@ def load_sums(device: Device) -> str:
     return words
 
 
-@check(
-    "start-again",
-    11,
-    "of a running stream is answered and changes nothing: the stream continues, and so does its `seq`",
-)
+@check("start-again", "11.3")
 def start_again(device: Device) -> str:
     """STREAM_START of a running stream changes nothing."""
     if device.probe.line.bus:
@@ -359,7 +377,7 @@ def start_again(device: Device) -> str:
     return f"seq {before.seq}, then {seqs[0]} after the second STREAM_START"
 
 
-@check("edges-set", 11, "no channels, `sample_bytes` is 8, `decimation` is ignored")
+@check("edges-set", "11.12 11.11")
 def edges_set(device: Device) -> Iterator[str]:
     """A stream of edges accepts any decimation."""
     device.require_edges()
