@@ -697,7 +697,7 @@ def retry_afresh(device: Device) -> str:
 
 @check("nonce-empties", "3.16")
 def nonce_empties(device: Device) -> str:
-    """A HELLO with another nonce clears the kept replies, so another host may use the same tids."""
+    """A HELLO with another nonce or rx_max clears the kept replies, so another host may use the same tids."""
     probe = device.probe
     nonce = random.getrandbits(32)
     probe.hello(nonce)
@@ -707,6 +707,10 @@ def nonce_empties(device: Device) -> str:
     same = _cfg_id(probe.ask_frame(frame))
     probe.hello(nonce ^ 1)
     other = _cfg_id(probe.ask_frame(frame))
+    probe.hello(nonce ^ 1, rx_max=512)
+    again = _cfg_id(probe.ask_frame(frame))
+    if again == other:
+        raise Failed(f"after a HELLO with another rx_max, STREAM_SET was not executed: cfg_id {again} again")
     if same != first:
         raise Failed(f"a HELLO with the same nonce cleared the kept replies: cfg_id {same}, was {first}")
     if other == first:

@@ -1,9 +1,10 @@
 """What `bench conform` finds of devices that break a sentence of SPEC: `python -m tests.bench.conform_power [NAME …]`.
 
-Each violation runs in a process of its own, in virtual time, at the highest level, on each link: the device side
-in C with one change (tables/conform_mutants.toml) behind the simulated drive, and the device of tests/devices with one
-fault (tables/conform_faults.toml). The figures go to docs/conform/found.json, of which docs/make_conform.py makes the
-page; results are kept below .violations, so that a run that was interrupted goes on where it was.
+Each violation runs in a process of its own, in virtual time, on each of its links, at the level that has its checks,
+and at the highest where none of them fails: the device side in C with one change (tables/conform_mutants.toml) behind the
+simulated drive, and the device of tests/devices with one fault (tables/conform_faults.toml). The figures go to
+docs/conform/found.json, of which docs/make_conform.py makes the page; results are kept below .violations, so that a run
+that was interrupted goes on where it was.
 """
 
 from __future__ import annotations
@@ -58,6 +59,11 @@ class Violation:
     changes: tuple[tuple[str, str], ...] = ()
 
     @property
+    def level(self) -> int:
+        """The lowest one that has its checks."""
+        return max(TABLE[check].needs for check in self.checks)
+
+    @property
     def number(self) -> str:
         """For a file."""
         made = hashlib.sha256(repr(self).encode()).hexdigest()[:8]
@@ -84,7 +90,8 @@ def _in_c() -> Iterator[Violation]:
 def _by_faults() -> Iterator[Violation]:
     for kind, rows in tomllib.loads((TABLES / "conform_faults.toml").read_text()).items():
         for name, check in rows.items():
-            yield Violation(name, TABLE[check].chapter, (check,), "CAN" if kind == "on_can" else "bytes")
+            chapter = int(TABLE[check].cites[0].partition(".")[0])
+            yield Violation(name, chapter, (check,), "CAN" if kind == "on_can" else "bytes")
 
 
 @cache
@@ -96,10 +103,10 @@ def stamp() -> str:
     return digest.hexdigest()[:12]
 
 
-def run_on(violation: Violation) -> Run:
-    """The run of all checks on the device that breaks this. NoCompiler where it cannot be compiled."""
+def run_on(violation: Violation, level: int) -> Run:
+    """The run of a level's checks on the device that breaks this. NoCompiler where it cannot be compiled."""
     if not violation.changes:
-        return on_device(CAN, [violation.name], carrier=violation.link)[0]
+        return on_device(level, [violation.name], carrier=violation.link)[0]
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder, "c")
         shutil.copytree(compiled.SOURCE, source)
@@ -112,12 +119,12 @@ def run_on(violation: Violation) -> Run:
         file.write_text(text)
         with (
             patch.object(compiled, "SOURCE", source),
-            patch.object(compiled, "FLAGS", compiled.FLAGS.replace("-O2", "-O1")),
+            patch.object(compiled, "FLAGS", compiled.FLAGS.replace("-O2", "-O0")),
             patch.object(compiled, "user_cache_path", lambda *_, **__: Path(folder)),
             patch.object(compiled, "library", cache(compiled.library.__wrapped__)),
             patch("protocol.canmap.compiled.library", cache(compiled.library.__wrapped__)),
         ):
-            return on_simulated(CAN, simulated(network=violation.link, compiled=True))
+            return on_simulated(level, simulated(network=violation.link, compiled=True))
 
 
 def result_of(violation: Violation) -> dict[str, Any]:
@@ -140,9 +147,12 @@ def result_of(violation: Violation) -> dict[str, Any]:
 def _write(violation: Violation, file: Path) -> None:
     ctypes.CDLL(None).alarm(int(SECONDS))
     try:
-        run = run_on(violation)
-        failed = {r.check.id: r.evidence for r in run.results if r.verdict is Verdict.FAIL}
-        found = {"failed": failed, "unknown": ended(run, Verdict.INVALID), "ended": run.ended or run.unsafe}
+        for level in (violation.level, CAN):
+            run = run_on(violation, level)
+            failed = {r.check.id: r.evidence for r in run.results if r.verdict is Verdict.FAIL}
+            found = {"failed": failed, "unknown": ended(run, Verdict.INVALID), "ended": run.ended or run.unsafe}
+            if set(violation.checks) & set(failed):
+                break
     except Exception as error:
         found = {"failed": {}, "ended": f"{type(error).__name__}: {error}"}
     file.write_text(json.dumps(found))
