@@ -161,7 +161,7 @@ def tick_is_now(device: Device) -> str:
         raise Failed(
             f"the tick of a sample is {1e3 * early / device.hz:.1f} ms later than that of a TIME_SYNC after it"
         )
-    if late > period + BEHIND * device.hz:
+    if late > period + (BEHIND + 2 * device.probe.takes(MAX_PAYLOAD)) * device.hz:
         raise Failed(
             f"the newest sample of every frame is at least {1e3 * late / device.hz:.1f} ms older than a TIME_SYNC "
             "before it"
@@ -380,12 +380,12 @@ def _both_ways(device: Device) -> Both:
 
 def _within(device: Device, chosen: Sequence[Channel], rate: float, share: float) -> tuple[Configured, float]:
     """Stream 0 at `rate`, or at a lower one at which it takes no more than `share` of the link; and that rate."""
-    told = device.configure(0, ids(chosen), rate)
+    told = device.configure(0, ids(chosen), rate, light=False)
     for _ in range(SLOWED):
         if told.reply.load <= share:
             break
         rate = device.pwm_hz / told.asked.decimation * share / told.reply.load
-        told = device.configure(0, ids(chosen), rate)
+        told = device.configure(0, ids(chosen), rate, light=False)
     return told, rate
 
 
@@ -393,7 +393,7 @@ def _streamed_both_ways(device: Device) -> Both:
     chosen = _few(device)
     rate = min(RATE, device.pwm_hz / 4)
     forth, rate = _within(device, chosen, rate, HALF)
-    back = device.configure(1, ids(chosen[::-1]), rate)
+    back = device.configure(1, ids(chosen[::-1]), rate, light=False)
     if forth.asked.decimation != back.asked.decimation:
         raise Unknown(f"the second stream fits only with decimation {back.asked.decimation}")
     device.start_streams(3)
@@ -455,20 +455,22 @@ def _codes(device: Device, channel: Channel) -> list[int]:
 @check("stop-sends", "11.5")
 def stop_sends(device: Device) -> str:
     """STREAM_STOP sends an incomplete block."""
-    narrow = min(device.channels, key=width)
+    narrow, dropped = min(device.channels, key=width), _dropped(device)
     told = device.configure(0, [narrow.id], RATE, latency_ms=3000)
-    if told.reply.block < 0.4 * device.pwm_hz / told.asked.decimation:
+    if told.reply.block < max(0.4 * device.pwm_hz / told.asked.decimation, 4):
         raise Unknown(f"a block holds {told.reply.block} samples: it would be full before STREAM_STOP")
     device.start_streams(1)
-    device.probe.listen(0.2)
+    device.probe.listen(max(0.2, 2.5 * told.asked.decimation / device.pwm_hz))
     early = len(device.blocks(0))
     device.stop_streams()
     device.probe.until(lambda: bool(device.blocks(0)), WATCHED)
     blocks = device.blocks(0)
     if early:
         raise Unknown("a frame was sent before STREAM_STOP")
+    device.require_undropped(dropped)
     if not blocks:
-        raise Failed(f"0.2 s at {RATE:g} Hz, then STREAM_STOP: nothing was sent")
+        rate = device.pwm_hz / told.asked.decimation
+        raise Failed(f"two samples or more at {rate:g} Hz, then STREAM_STOP: nothing was sent")
     return f"{sum(block.n for block in blocks)} samples, of {told.reply.block} in a block, were sent at STREAM_STOP"
 
 
@@ -483,7 +485,8 @@ class Overload:
     decimation: int
     block: int
     frames: list[Block]
-    dropped: int
+    dropped: tuple[int, int]
+    """At least, and at most, until the last of the frames."""
     damaged: int
 
     @property
@@ -530,24 +533,27 @@ def _overload(device: Device) -> Overload:
             break
     probe.listen(SETTLE)
     beat = device.fresh()
-    counted = (beat.tx_dropped - before) & MASK
     frames = _up_to(device, beat.tick)
+    counted, most = ((now - before) & MASK for now in (beat.tx_dropped, _dropped(device)))
     device.stop_streams()
     if not counted and not any((b.seq - a.seq - 1) & 0xFFFF for a, b in pairwise(frames)) and not _jumped(frames, told):
         raise Unknown(f"nothing was dropped in {UNREAD[-1]:g} s without reading the link, {rate}")
     words = f"{rate}, {len(frames)} frames"
-    return Overload(words, told.asked.decimation, told.reply.block, frames, counted, probe.line.damaged - damaged)
+    damaged = probe.line.damaged - damaged
+    return Overload(words, told.asked.decimation, told.reply.block, frames, (counted, most), damaged)
 
 
 def _up_to(device: Device, tick: int) -> list[Block]:
-    """The frames of stream 0, of which the last one is not older than `tick`: a slow link has a long queue."""
+    """The frames of stream 0 up to the first that is not older than `tick`: a slow link has a long queue."""
 
     def there() -> bool:
         blocks = device.blocks(0)
         return bool(blocks) and _signed(blocks[-1].tick - tick) >= 0
 
     device.probe.until(there, MOST_QUEUED)
-    return device.blocks(0)
+    blocks = device.blocks(0)
+    newer = [n for n, block in enumerate(blocks, 1) if _signed(block.tick - tick) >= 0]
+    return blocks[: newer[0]] if newer else blocks
 
 
 def _jumped(frames: list[Block], told: Configured) -> bool:
@@ -567,7 +573,7 @@ def _heaviest(device: Device) -> tuple[Configured, str]:
         dropped = _dropped(device) != before
         device.stop_streams()
         if not dropped:
-            told = device.configure(0, ids(chosen), rate)
+            told = device.configure(0, ids(chosen), rate, light=False)
             actual = device.pwm_hz / told.asked.decimation
             return told, f"{counted(len(chosen), 'channel')} ({told.reply.sample_bytes} bytes) at {actual:g} Hz"
         if told.asked.decimation >= SLOWEST:
@@ -613,10 +619,12 @@ def tx_dropped(device: Device) -> str:
     by_seq, by_index = found.lost_by_seq, sum(blocks for _, _, blocks in found.jumps)
     lost = by_seq if by_seq else by_index
     by = "seq" if by_seq else "index"
-    words = f"{found.words}: {lost} lost by {by}, tx_dropped {found.dropped}, {found.damaged} received damaged"
-    if found.dropped <= lost <= found.dropped + found.damaged:
+    least, most = found.dropped
+    told = f"{least}" if least == most else f"{least} to {most}"
+    words = f"{found.words}: {lost} lost by {by}, tx_dropped {told}, {found.damaged} received damaged"
+    if least <= lost <= most + found.damaged:
         return words
-    if found.damaged and lost > found.dropped:
+    if found.damaged and lost > most:
         raise Unknown(f"{words}: the link loses bytes")
     raise Failed(words)
 

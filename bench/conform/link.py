@@ -640,8 +640,9 @@ def refused_changes_nothing(device: Device) -> str:
     for refused in (payload[:2] + bytes(2) + payload[4:], payload[:1] + b"\x09" + payload[2:]):
         if probe.ask(kind, refused).error is None:
             raise Unknown("STREAM_SET with decimation 0 or event 9 was not refused")
-    if (now := probe.get(StreamGet(0), StreamInfo)) != before:
-        raise Failed(f"a refused STREAM_SET changed the stream: {now}, was {before}")
+    now = probe.ask(MessageType.STREAM_GET, StreamGet(0).pack())
+    if now.error is not None or read(now.frame, StreamInfo) != before:
+        raise Failed(f"after a refused STREAM_SET, STREAM_GET is {now}; the stream was {before}")
     return "after refused HELLOs and STREAM_SETs: kept replies, tx_max and the configured stream as before"
 
 

@@ -16,7 +16,7 @@ from bench.conform.data import edges_ahead, late
 from bench.conform.device import PATIENCE, Block, Configured, Device, ids, require_granted
 from bench.conform.levels import MOTION
 from bench.conform.probe import accepted, read, state_name
-from bench.conform.setpoints import NO_MODE, code_name, send
+from bench.conform.setpoints import NO_MODE, code_name, is_taken, send
 from bench.conform.verdicts import Failed, NotApplicable, Unknown
 from bench.device.safety import is_off, says
 from bench.rig.runaway import Runaway
@@ -89,9 +89,10 @@ def spin(device: Device) -> None:
     if device.hello.role != Role.DRIVE:
         raise NotApplicable(f"the device is {device.hello.role.name}, not a drive")
     device.run()
-    beat = send(device, SetpointMode.SPEED, 0x5EED, device.speed_rpm * RPM)
-    if beat.setpoint_counter != 0x5EED or beat.state != DriveState.RUNNING:
-        raise Unknown(f"SPEED {device.speed_rpm:g} r/min was not accepted; the state is {state_name(beat.state)}")
+    taken = is_taken(device, SetpointMode.SPEED, 0x5EED, device.speed_rpm * RPM)
+    if not taken or (state := device.fresh().state) != DriveState.RUNNING:
+        words = "was not accepted" if not taken else f"led to {state_name(state)}"
+        raise Unknown(f"SPEED {device.speed_rpm:g} r/min {words}")
 
 
 def turned(device: Device) -> Turn:
@@ -552,7 +553,7 @@ def never_clipped(device: Device) -> str:
         require_granted(device.set(record, limit), f"omega_m_max = {limit:g}")
         device.run()
         words = f"{_beyond(device, limit)}; {_beyond(device, -limit)}"
-        if send(device, SetpointMode.SPEED, 0x0C0D, limit).setpoint_counter != 0x0C0D:
+        if not is_taken(device, SetpointMode.SPEED, 0x0C0D, limit):
             raise Failed(f"{words}; the limit itself, {limit:.6g} rad/s, is not accepted")
         return f"{words}; the limit itself: accepted"
     finally:
@@ -590,19 +591,18 @@ def current_limit(device: Device) -> str:
     try:
         require_granted(device.set(record, limit), f"i_max = {limit:g}")
         device.run()
-        if send(device, SetpointMode.CURRENT, 1).setpoint_counter != 1:
+        if not is_taken(device, SetpointMode.CURRENT, 1):
             raise Unknown("CURRENT 0 was not accepted")
         for n, (i_q, i_d) in enumerate(((COMMON, 0.0), (-COMMON, 0.0), (0.0, COMMON), (0.8, 0.8)), 0x0100):
             since = len(device.events(EventCode.SETPOINT_REJECTED))
-            was = send(device, SetpointMode.CURRENT, n, i_q * limit, i_d * limit).setpoint_counter
             what = f"CURRENT {i_q * limit:.3g}, {i_d * limit:.3g} A"
-            if was == n:
+            if is_taken(device, SetpointMode.CURRENT, n, i_q * limit, i_d * limit):
                 raise Failed(f"{what}: accepted, i_max is {limit:g}")
             events = device.events(EventCode.SETPOINT_REJECTED)[since:]
             if events and (events[0].arg, events[0].detail) != (ErrorCode.OUT_OF_RANGE, limit):
                 raise Failed(f"{what}: {code_name(events[0])}, detail {events[0].detail:.9g}, i_max is {limit:g}")
             words.append(what)
-        if send(device, SetpointMode.CURRENT, 2, limit).setpoint_counter != 2:
+        if not is_taken(device, SetpointMode.CURRENT, 2, limit):
             raise Failed(f"CURRENT {limit:g} A, which is i_max, is not accepted")
         return f"{', '.join(words)}: rejected with {limit:g}; {limit:g} A: accepted"
     finally:

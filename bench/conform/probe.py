@@ -118,6 +118,7 @@ class Probe:
         self._alive = 0
         self._watch: Callable[[], None] = lambda: None
         self._fed = -1e9
+        self._started = False  # a stream, since `quiet`
         self._looked = self.now()
         wire = self.link.wire()
         baud = wire.baud if isinstance(wire, ByteWire) else math.inf
@@ -258,6 +259,7 @@ class Probe:
         What was not answered before is tried but once.
         """
         tries = 1 if frame.type in self.mute else tries
+        self._started = self._started or frame.type == MessageType.STREAM_START
         for _ in range(tries):
             since, sent = len(self.heard), self.now()
             self.write(self.line.encode(frame) if wire is None else wire)
@@ -324,13 +326,16 @@ class Probe:
         return hello
 
     def quiet(self) -> None:
-        """Where stream frames have come, take those that are still under way."""
+        """Where streams have run, take the frames that are still under way."""
 
         def streamed() -> int:
             kinds = (MessageType.DATA, MessageType.EDGES)
             return len(self.stream_frames) + sum(each.frame.type in kinds for each in self.heard)
 
         before, end = 0, self.now() + MOST_QUEUED
+        if self._started and self._longest > QUIET:
+            self.listen(self._longest)
+        self._started = False
         while (now := streamed()) != before and self.now() < end:
             before = now
             self.listen(max(QUIET, self._longest))

@@ -92,7 +92,7 @@ def conform(
         nonlocal forbidden
         try:
             return Node(client, client.connect().node)
-        except (RemoteProtocolError, Refused) as error:
+        except (RemoteProtocolError, Refused, NoReply) as error:
             forbidden = str(error)
             return Node(client, DRIVE)
 
@@ -114,7 +114,7 @@ def conform(
         try:
             device.hello = device.probe.connect()
         except Ended as ended:
-            raise NoReply(f"{options.target}: {ended}") from None
+            raise NoReply(forbidden or f"{options.target}: {ended}") from None
         run = Run(options, device.hello, line.bus)
         try:
             _Course(run, rig, device, screen, told, forbidden).go()

@@ -618,9 +618,10 @@ def streams_anyway(device: Device) -> str:
         narrow = min(device.channels, key=width)
         asked = device.stream_set(0, [narrow.id], max(1, device.pwm_hz // 100))
         accepted(asked, f"STREAM_SET in {state.name}")
-        frames = len(device.probe.stream_frames)
+        frames, dropped = len(device.probe.stream_frames), device.fresh().tx_dropped
         accepted(device.probe.ask(MessageType.STREAM_START, struct.pack("<I", 1)), f"STREAM_START in {state.name}")
         device.probe.listen(0.2)
+        device.require_undropped(dropped)
         if not device.blocks(0) and len(device.probe.stream_frames) == frames:
             raise Failed(f"no frame of a stream came within 0.2 s in {state.name}")
         accepted(device.probe.ask(MessageType.STREAM_STOP, struct.pack("<I", 1)), f"STREAM_STOP in {state.name}")
