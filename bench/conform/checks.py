@@ -12,6 +12,7 @@ from enum import StrEnum
 
 from bench.conform.device import Device
 from bench.signal.verdict import Verdict
+from protocol.requirements import requirements
 
 Body = Callable[[Device], str | Iterable[str]]
 """Gives the evidence, in one piece or in several."""
@@ -29,19 +30,23 @@ class Carrier(StrEnum):
 class Check:
     """One thing that SPEC demands.
 
-    `says` is SPEC's sentence and `chapter` where it stands; `needs`, the level from which on the check may run, is its
-    own `level` but for those of CAN. If a `critical` one fails, nothing more is energised; if it is unknown,
-    its level is not claimed.
+    `cites` are the numbers of SPEC's requirements that it looks at, the main one first; `needs`, the level from which
+    on the check may run, is its own `level` but for those of CAN. If a `critical` one fails, nothing more is
+    energised; if it is unknown, its level is not claimed.
     """
 
     id: str
     level: int
-    chapter: int
-    says: str
+    cites: tuple[str, ...]
     body: Body
     needs: int
     carrier: Carrier = Carrier.ANY
     critical: bool = False
+
+    @property
+    def says(self) -> str:
+        """The main requirement, in SPEC's words."""
+        return requirements()[self.cites[0]].text
 
     def evidence(self, device: Device) -> str:
         """Make the check; see the module for what it raises."""
@@ -64,7 +69,7 @@ TABLE: dict[str, Check] = {}
 
 
 class Group:
-    """Enters the checks of one level and one family: `@group("id", chapter, "sentence")`."""
+    """Enters the checks of one level and one family: `@group("id", "7.27 7.24")`, by numbers of requirements."""
 
     def __init__(self, family: str, level: int, carrier: Carrier = Carrier.ANY) -> None:
         self._family = family
@@ -74,8 +79,7 @@ class Group:
     def __call__(
         self,
         name: str,
-        chapter: int,
-        says: str,
+        cites: str,
         *,
         needs: int | None = None,
         carrier: Carrier | None = None,
@@ -86,7 +90,7 @@ class Group:
         def enter(body: Body) -> Body:
             number = f"{self._family}.{name}"
             TABLE[number] = Check(
-                number, self._level, chapter, says, body, self._level if needs is None else needs,
+                number, self._level, tuple(cites.split()), body, self._level if needs is None else needs,
                 carrier or self._carrier, critical,
             )  # fmt: skip
             return body

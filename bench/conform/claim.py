@@ -123,7 +123,7 @@ def as_data(run: Run, about_run: dict[str, Any]) -> dict[str, Any]:
 def check_data(check: Check) -> dict[str, Any]:
     """What a check is, as plain data."""
     return {
-        "id": check.id, "level": check.level, "needs_level": check.needs, "chapter": check.chapter,
+        "id": check.id, "level": check.level, "needs_level": check.needs, "requirements": list(check.cites),
         "spec": check.says, "looks_at": looks_at(check), "on": str(check.carrier),
     }  # fmt: skip
 

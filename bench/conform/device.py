@@ -43,6 +43,8 @@ from protocol.streams import MAX_DECIMATION, STREAM_HEADER
 
 WATCHDOG = 0.2  # s, where there is no parameter that says otherwise
 ALIVE = 0.05  # s between two ALIVEs, at most a quarter of the watchdog's time
+LIGHT = 0.45  # of the link, that all streams take which a check looks at
+SLOW_LINK = 3.0  # s in which a slow link brings two frames
 PART = 512  # bytes of the descriptor that are asked for at once
 PATIENCE = 0.5  # s beyond its time that a watchdog is given to end what STOP did not
 EDGE_BYTES = 8
@@ -228,8 +230,10 @@ class Device:
         )
         return self.probe.ask(MessageType.STREAM_SET, payload)
 
-    def configure(self, stream: int, channels: Sequence[int], rate: float, latency_ms: int = 20) -> Configured:
-        """Configure samples at about `rate` Hz, or as often as the link carries. Raises Unknown."""
+    def configure(
+        self, stream: int, channels: Sequence[int], rate: float, latency_ms: int = 20, light: bool = True
+    ) -> Configured:
+        """Configure samples at about `rate` Hz, or as often as the link carries, well if `light`. Raises Unknown."""
         decimation = min(max(1, round(self.pwm_hz / rate)), MAX_DECIMATION)
         answer = self.stream_set(stream, channels, decimation, latency_ms)
         error = answer.error
@@ -237,6 +241,10 @@ class Device:
             decimation = int(error.detail)
             answer = self.stream_set(stream, channels, decimation, latency_ms)
         reply = read(require_granted(answer, "STREAM_SET").frame, StreamReply)
+        while light and reply.load > LIGHT and decimation < MAX_DECIMATION:
+            decimation = min(math.ceil(decimation * max(1.1, reply.load / LIGHT)), MAX_DECIMATION)
+            answer = self.stream_set(stream, channels, decimation, latency_ms)
+            reply = read(require_granted(answer, "STREAM_SET").frame, StreamReply)
         if not reply.block or not reply.sample_bytes:
             raise Unknown(f"STREAM_SET gave sample_bytes {reply.sample_bytes}, block {reply.block}")
         return Configured(reply, StreamSet(stream, StreamEvent.PWM, decimation, latency_ms, tuple(channels)))
@@ -247,11 +255,12 @@ class Device:
         self.start_streams(1)
         return told
 
-    def configure_edges(self, stream: int) -> Configured:
+    def configure_edges(self, stream: int, decimation: int = 1, latency_ms: int = 20) -> Configured:
         """Configure a stream of edges. Raises NotApplicable, Unknown."""
         self.require_edges()
-        answer = require_granted(self.stream_set(stream, (), event=StreamEvent.EDGES), "STREAM_SET of edges")
-        return Configured(read(answer.frame, StreamReply), StreamSet(stream, StreamEvent.EDGES, 1, 20))
+        answer = self.stream_set(stream, (), decimation, latency_ms, StreamEvent.EDGES)
+        reply = read(require_granted(answer, "STREAM_SET of edges").frame, StreamReply)
+        return Configured(reply, StreamSet(stream, StreamEvent.EDGES, decimation, latency_ms))
 
     def start_streams(self, mask: int) -> None:
         """Start them. Raises Unknown."""
@@ -275,10 +284,16 @@ class Device:
     def streamed(self, stream: int, seconds: float) -> list[Block]:
         """Blocks of a stream that come within so many s. Unknown where none did."""
         self.probe.listen(seconds)
+        self.probe.until(lambda: len(self.blocks(stream)) > 1, SLOW_LINK)
         blocks = self.blocks(stream)
         if not blocks:
             raise Unknown(f"no frame of stream {stream} received within {seconds:g} s")
         return blocks
+
+    def require_undropped(self, before: int) -> None:
+        """Raises Unknown where frames were dropped since tx_dropped was `before`: the link is too slow."""
+        if dropped := (self.fresh().tx_dropped - before) & 0xFFFFFFFF:
+            raise Unknown(f"the device dropped {dropped} frames: the link is too slow")
 
     # -- states ---------------------------------------------------------------------------------------------------
 
@@ -327,8 +342,13 @@ class Device:
         return self.probe.beat(lambda beat: beat.tick > now)
 
     def wait_state(self, state: DriveState, seconds: float) -> None:
-        """Wait for a heartbeat with this state. Raises Unknown."""
-        self.probe.beat(lambda beat: beat.state == state, seconds, f"with {state.name} ")
+        """Wait for a heartbeat with this state. Raises Unknown, Failed where HELLO has the state."""
+        try:
+            self.probe.beat(lambda beat: beat.state == state, seconds, f"with {state.name} ")
+        except Unknown as nothing:
+            if self.probe.hello().state == state:
+                raise Failed(f"HELLO has {state.name}, but {nothing}") from None
+            raise
 
     def events(self, code: int) -> list[DeviceEvent]:
         """The events of this code that came since `connect`."""

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import struct
+import unicodedata
 from collections.abc import Iterator
 from zlib import crc32
 
 from bench.conform.checks import Group
 from bench.conform.device import Device, require_granted
 from bench.conform.levels import IDENTITY
-from bench.conform.probe import HELLO, Answer, Probe, read, steps
-from bench.conform.verdicts import Failed, Unknown
-from protocol.codes import DriveState, ErrorCode, MessageType
+from bench.conform.lines import Heard
+from bench.conform.probe import HELLO, Answer, Probe, name_of, read, state_name, steps
+from bench.conform.verdicts import Failed, NotApplicable, Unknown
+from protocol.codes import Command, DriveState, ErrorCode, Feature, MessageType
 from protocol.descriptor import Descriptor
 from protocol.errors import DeviceDefect, HbpError
-from protocol.messages import BlobRead, BlobReply, Heartbeat, HelloReply
+from protocol.framing import MAJOR
+from protocol.messages import BlobRead, BlobReply, Heartbeat, HelloReply, ParamGet, ParamSet
+from protocol.signals import Flag
 from protocol.validity import check_reply
 
 check = Group("identity", IDENTITY)
 
-HELLO_BYTES = 116
+UNASKED = (MessageType.HEARTBEAT, MessageType.EVENT, MessageType.LOG, MessageType.DATA, MessageType.EDGES)
 TEXTS = (("name", 36, 16), ("firmware", 52, 16), ("serial", 68, 24), ("build", 92, 24))
 OTHER_BLOBS = (1, 2, 255)
 WATCHED = 1.6  # s that heartbeats are watched
@@ -27,16 +31,20 @@ RATE_ERROR = 0.05
 """Tolerance of `tick_hz` against the host's clock: SPEC gives no value; this finds a wrong one."""
 STABLE = ("boot_id", "major", "minor", "rx_max", "tx_max", "features", "schema_crc", "tick_hz", "pwm_hz", "node",
           "role", "nodes", "name", "firmware", "serial", "build")  # fmt: skip
-FREE_FAULT_BITS = 0xFF000000
+FREE_FAULT_BITS, RESERVED_FAULT_BITS = 0xFF000000, 0xFF80
+BEAT_EARLY, BEAT_LATE = 0.078, 0.122  # s between two heartbeats, each of which may be 20 ms late
+OF_THE_HALLS = ("hall_offset", "hall_swap_hat", "hall_invert_hat")
+OUTPUTS_ON = 37  # where it stands in a heartbeat
+UNFED = 0xFFFF  # watchdog_ms while it is inactive
+BEHIND = 0.05  # s that a heartbeat may wait on a link that has nothing else to carry
 
 
-@check("hello-fields", 4, "A host refuses a device, naming the field and its value, if its HELLO has another `major`")
+@check("hello-fields", "5.2 2.5 16.2 4.17")
 def hello_fields(device: Device) -> str:
     """The fields of HELLO have valid values."""
     answer = _hello(device.probe, 1024)
-    payload = answer.frame.payload
-    if len(payload) < HELLO_BYTES:
-        raise Failed(f"the reply has {len(payload)} bytes, not {HELLO_BYTES}")
+    if len(answer.frame.payload) < HelloReply.FIXED_BYTES:
+        raise Unknown("the reply is too short: see link.hello")
     hello = read(answer.frame, HelloReply)
     try:
         check_reply(hello, answer.frame.node)
@@ -44,8 +52,10 @@ def hello_fields(device: Device) -> str:
         raise Failed(str(error)) from None
     if not 0 < hello.tx_max <= 1024:
         raise Failed(f"tx_max is {hello.tx_max}, this host accepts 1024")
-    if not hello.nodes and not device.probe.line.bus:
-        raise Failed("nodes is 0, but one answers")
+    if hello.nodes < (1 if device.probe.line.bus else hello.node):
+        raise Failed(f"nodes is {hello.nodes}, but node {hello.node} answers")
+    if not hello.role:
+        raise Failed("role is 0")
     sizes = f"rx_max {hello.rx_max}, tx_max {hello.tx_max}"
     return f"node {hello.node} of {hello.nodes}, {sizes}, tick_hz {hello.tick_hz}, pwm_hz {hello.pwm_hz}"
 
@@ -54,7 +64,7 @@ def _hello(probe: Probe, rx_max: int) -> Answer:
     return probe.ask(MessageType.HELLO, HELLO.pack(probe.tid() << 8, 1, 1, rx_max))
 
 
-@check("texts", 0, "(a text that fills its field has no terminating zero)")
+@check("texts", "0.2 0.3")
 def texts(device: Device) -> str:
     """Texts are UTF-8, padded with zeros only."""
     payload = _hello(device.probe, 1024).frame.payload
@@ -64,36 +74,50 @@ def texts(device: Device) -> str:
         text, _, rest = raw.partition(b"\0")
         if rest.strip(b"\0"):
             raise Failed(f"{name} has bytes after its first zero: {raw.hex()}")
-        try:
-            found.append(f"{name} {text.decode()!r}")
-        except UnicodeDecodeError:
-            raise Failed(f"{name} is not UTF-8: {raw.hex()}") from None
+        found.append(f"{name} {_plain(text, name)!r}")
     return ", ".join(found)
 
 
-@check("hello-stable", 4, "HELLO is legal in every state and does not change it")
+def _plain(raw: bytes, what: str) -> str:
+    """Text of UTF-8 without control characters. Raises Failed."""
+    try:
+        text = raw.decode()
+    except UnicodeDecodeError:
+        raise Failed(f"{what} is not UTF-8: {raw.hex()}") from None
+    if bad := [letter for letter in text if unicodedata.category(letter) == "Cc"]:
+        raise Failed(f"{what} has the control character U+{ord(bad[0]):04X}: {raw.hex()}")
+    return text
+
+
+@check("hello-stable", "5.3 4.16 9.4")
 def hello_stable(device: Device) -> str:
-    """Repeated HELLO replies have the same fields."""
+    """Repeated HELLO replies have the same fields, and the state of the heartbeats."""
     first, again = device.probe.hello(), device.probe.hello()
     for name in STABLE:
         if getattr(first, name) != getattr(again, name):
             raise Failed(f"{name} was {getattr(first, name)}, then {getattr(again, name)}")
+    beat = device.fresh()
+    if again.state != beat.state:
+        raise Failed(f"HELLO has {state_name(again.state)}, a heartbeat after it {state_name(beat.state)}")
     return f"{len(STABLE)} fields are the same in two replies, boot_id {first.boot_id:08x}"
 
 
-@check("rx-max", 4, "after that it never sends a payload longer than the host's `rx_max`")
+@check("rx-max", "4.18 4.19")
 def rx_max(device: Device) -> str:
-    """No payload is longer than the host's rx_max."""
+    """No payload is longer than the host's rx_max, and tx_max is the smaller of that and what the device can send."""
+    for most in (128, 200):
+        hello, due = device.probe.hello(rx_max=most), min(most, device.hello.tx_max)
+        if hello.tx_max != due:
+            words = f"tx_max is {hello.tx_max} for a host that accepts {most}"
+            raise Failed(f"{words}, {device.hello.tx_max} for one that accepts 1024")
     hello = device.probe.hello(rx_max=128)
-    if hello.tx_max > 128:
-        raise Failed(f"tx_max is {hello.tx_max} for a host that accepts 128")
     answer = require_granted(device.probe.ask(MessageType.BLOB_READ, BlobRead(0, 1024, 0).pack()), "BLOB_READ")
     if (n := len(answer.frame.payload)) > 128:
         raise Failed(f"BLOB_READ was answered with {n} bytes to a host that accepts 128")
     return f"rx_max 128: tx_max {hello.tx_max}, BLOB_READ answered with {n} bytes"
 
 
-@check("descriptor", 9, "Blob 0 is an array of 32-byte records, at most 4096 of them")
+@check("descriptor", "9.1 9.2 9.3 0.3 12.6 14.2")
 def descriptor(device: Device) -> str:
     """The descriptor follows the rules."""
     if len(device.blob) % 32:
@@ -108,12 +132,18 @@ def descriptor(device: Device) -> str:
             raise Failed(f"{what} has {reserved} in its reserved field")
         if name.rstrip(b"\0").count(0):
             raise Failed(f"{what} has bytes after the first zero of its name")
+        if flags & 3:
+            _plain(name.partition(b"\0")[0], what)
+        if flags & Flag.TRUTH and not device.hello.features & Feature.SIMULATED:
+            raise Failed(f"{what} has the flag TRUTH, but the device is not simulated")
+        if flags & 3 == 2 and name.rstrip(b"\0").decode() in OF_THE_HALLS and not flags & Flag.IDLE_ONLY:
+            raise Failed(f"{what} is not IDLE_ONLY")
         if flags & 3 == 2 and (raw, scale, offset) != (7, 1.0, 0.0):
             raise Failed(f"{what} is a parameter with type {raw}, scale {scale:g}, offset {offset:g}")
     return f"{len(device.blob) // 32} records: {len(found.channels)} channels, {len(found.parameters)} parameters"
 
 
-@check("schema-crc", 5, "CRC-32 of the descriptor")
+@check("schema-crc", "5.2")
 def schema_crc(device: Device) -> str:
     """schema_crc in HELLO matches the descriptor."""
     crc = crc32(device.blob)
@@ -122,9 +152,9 @@ def schema_crc(device: Device) -> str:
     return f"{crc:08x} over {len(device.blob)} bytes"
 
 
-@check("blob-clipped", 5, "A read is clipped to the end of the blob and to what fits in a frame")
+@check("blob-clipped", "5.22 5.21 5.23")
 def blob_clipped(device: Device) -> str:
-    """A read that is too long is clipped, not refused."""
+    """A read that is too long is clipped, not refused; one of nothing, and one at the end, give nothing."""
     probe, blob = device.probe, device.blob
     if len(blob) < 8:
         raise Unknown(f"the descriptor has {len(blob)} bytes")
@@ -137,10 +167,21 @@ def blob_clipped(device: Device) -> str:
     last = probe.get(BlobRead(0, 64, len(blob) - 8), BlobReply)
     if last.data != blob[-8:] or last.offset != len(blob) - 8:
         raise Failed(f"64 bytes from {len(blob) - 8}: got {len(last.data)} bytes from {last.offset}; 8 are left")
-    return f"65535 bytes from 0: got {len(wide.data)} of {len(blob)}; 64 bytes from 8 before the end: got 8"
+    for wanted, at in ((64, len(blob)), (0, 0), (0xFFFF, len(blob)), (1, len(blob) - 1), (3, 5)):
+        part = probe.get(BlobRead(0, wanted, at), BlobReply)
+        told = (part.id, part.data, part.offset, part.total)
+        if told != (0, blob[at : at + wanted], at, len(blob)):
+            raise Failed(
+                f"{wanted} bytes from {at}: got {part.data.hex() or 'none'}, for blob {part.id} from {part.offset} "
+                f"of {part.total}; the blob has {len(blob)}"
+            )
+    length = probe.ask(MessageType.BLOB_READ, BlobRead(0, 0xFFFF, 8).pack()).frame.payload
+    if int.from_bytes(length[2:4], "little") != len(length) - 12:
+        raise Failed(f"`length` is {int.from_bytes(length[2:4], 'little')}, but {len(length) - 12} bytes follow")
+    return f"65535 bytes from 0: got {len(wide.data)} of {len(blob)}; from 8 before the end 8, from the end none"
 
 
-@check("blob-past-end", 5, "An offset past the end is refused (OUT_OF_RANGE, `detail` = the length)")
+@check("blob-past-end", "5.21")
 def blob_past_end(device: Device) -> Iterator[str]:
     """A read past the end is refused."""
     probe, total = device.probe, len(device.blob)
@@ -152,7 +193,7 @@ def blob_past_end(device: Device) -> Iterator[str]:
     )
 
 
-@check("other-blobs", 5, "every other one, 1 and 2 included, is refused (UNKNOWN_ID, `detail` = the blob)")
+@check("other-blobs", "5.20 17.1")
 def other_blobs(device: Device) -> Iterator[str]:
     """Blobs other than 0 are refused."""
     return (
@@ -162,14 +203,14 @@ def other_blobs(device: Device) -> Iterator[str]:
     )
 
 
-@check("heartbeat-rate", 5, "Unsolicited, 10 Hz, from boot on, in every state")
+@check("heartbeat-rate", "5.8")
 def heartbeat_rate(device: Device) -> str:
     """A heartbeat comes every 100 ms of device time; none is missing."""
     beats = _beats(device)
     between = [1e3 * step / device.hz for step in steps([beat.tick for beat in beats])]
     mean = sum(between) / len(between)
     words = f"{len(beats)} heartbeats, {mean:.1f} ms apart ({min(between):.0f} to {max(between):.0f})"
-    if not 90 <= mean <= 110 or max(between) > 190:
+    if not 90 <= mean <= 110 or not 1e3 * BEAT_EARLY <= min(between) <= max(between) <= 1e3 * BEAT_LATE:
         raise Failed(words)
     return words
 
@@ -187,7 +228,7 @@ def _beats(device: Device) -> list[Heartbeat]:
     return found
 
 
-@check("heartbeat-fields", 5, "1 = the power stage is on, according to the hardware")
+@check("heartbeat-fields", "5.12 5.11 5.13 5.17 5.18 7.15")
 def heartbeat_fields(device: Device) -> str:
     """Heartbeats are consistent, and agree with HELLO."""
     beats = _beats(device)
@@ -203,19 +244,26 @@ def heartbeat_fields(device: Device) -> str:
             f"faults 0x{int(beat.faults):x} in {beat.state.name}": bool(beat.faults)
             != (beat.state == DriveState.FAULT),
             f"outputs on in {beat.state.name}": bool(beat.outputs_on) and beat.state != DriveState.RUNNING,
+            f"faults 0x{int(beat.faults):x}: bits 7 to 15 are not 0": bool(beat.faults & RESERVED_FAULT_BITS),
+            f"watchdog_ms {beat.watchdog_ms} in {beat.state.name}": beat.watchdog_ms != UNFED
+            and beat.state not in (DriveState.ARMED, DriveState.RUNNING),
         }
         for words, wrong in reasons.items():
             if wrong:
                 raise Failed(words)
+    device.probe.beat()
+    raw = next(each.frame.payload for each in device.probe.heard if each.frame.type == MessageType.HEARTBEAT)
+    if raw[OUTPUTS_ON] > 1:
+        raise Failed(f"outputs_on is {raw[OUTPUTS_ON]}")
     last = beats[-1]
     outputs = "on" if last.outputs_on else "off"
     said = f"{last.state.name}, faults 0x{int(last.faults):x}, outputs {outputs}"
     return f"{len(beats)} heartbeats: {said}, boot_id as in HELLO"
 
 
-@check("last-tid", 5, "of the last request that was executed and answered without refusal")
+@check("last-tid", "5.16")
 def last_tid(device: Device) -> str:
-    """last_tid is the tid of the last request that was not refused."""
+    """last_tid is the tid of the last request that was executed: not of a refused or a repeated one, nor of ALIVE."""
     probe = device.probe
     good = probe.ask(MessageType.BLOB_READ, BlobRead(0, 8, 0).pack())
     bad = probe.ask(MessageType.BLOB_READ, BlobRead(9, 8, 0).pack())
@@ -225,12 +273,146 @@ def last_tid(device: Device) -> str:
     told = probe.beat().last_tid
     if told != good.frame.tid:
         raise Failed(f"last_tid is {told}; {good.frame.tid} was executed, then {bad.frame.tid} refused")
-    return f"last_tid {told} was executed; {bad.frame.tid} after it was refused, and does not count"
+    words = f"last_tid {told} was executed; {bad.frame.tid} after it was refused, and does not count"
+    kept = probe.frame(MessageType.BLOB_READ, BlobRead(0, 8, 0).pack())
+    probe.ask_frame(kept)
+    for kind, payload in (
+        (MessageType.STREAM_STOP, bytes(4)), (MessageType.HELLO, HELLO.pack(_nonce(probe), 1, 1, 1024)),
+        (MessageType.TIME_SYNC, b""),
+    ):  # fmt: skip
+        asked = probe.ask(kind, payload)
+        probe.alive()
+        if kind == MessageType.STREAM_STOP:
+            probe.ask_frame(kept)  # which is answered, but not executed
+        told = _after_now(device).last_tid
+        if told != asked.frame.tid:
+            raise Failed(f"last_tid is {told}; {asked.frame.tid} was a {kind.name}, executed last (before an ALIVE)")
+    return f"{words}; so do STREAM_STOP, HELLO and TIME_SYNC, and not ALIVE, nor a kept reply"
 
 
-@check("tick-goes-on", 10, "`tick` is a free-running counter at `tick_hz`")
+def _nonce(probe: Probe) -> int:
+    return probe.tid() << 8 | 1
+
+
+def _after_now(device: Device) -> Heartbeat:
+    """A heartbeat made from now on, without a request that would change last_tid."""
+    device.probe.beat()  # one may have been made before
+    return device.probe.beat()
+
+
+@check("heartbeat-clock", "5.10 5.7")
+def heartbeat_clock(device: Device) -> str:
+    """A heartbeat's tick lies between those of the TIME_SYNCs before and after it."""
+    probe, hz = device.probe, device.hz
+    ahead, behind = [], []
+    for _ in range(4):
+        since = len(probe.heard)
+        probe.beat()  # the next one is 100 ms away
+        probe.listen(0.05)
+        before = probe.tick()[0]
+        beat = probe.beat()
+        after = probe.tick()[1]
+        if len(probe.came(Heartbeat, since)) > 2:
+            continue
+        behind.append((before - beat.tick) / hz)
+        ahead.append((beat.tick - after) / hz)
+    if not ahead:
+        raise Unknown("no heartbeat received alone between two TIME_SYNCs")
+    if max(ahead) > 0:
+        raise Failed(f"the tick of a heartbeat is {1e3 * max(ahead):.1f} ms later than that of a TIME_SYNC after it")
+    if min(behind) > BEHIND + probe.takes(100):
+        raise Failed(f"the tick of heartbeats is {1e3 * min(behind):.1f} ms earlier than of TIME_SYNCs before them")
+    return f"{len(ahead)} heartbeats lie between the TIME_SYNCs before and after them"
+
+
+@check("log", "0.3")
+def log(device: Device) -> str:
+    """LOG has a level and text of UTF-8."""
+    _beats(device)
+    lines = [each.frame for each in device.probe.heard if each.frame.type == MessageType.LOG]
+    if not lines:
+        raise NotApplicable("it sent no LOG")
+    for line in lines:
+        if not line.payload or line.payload[0] > 7:
+            raise Failed(f"a LOG of {len(line.payload)} bytes has level {line.payload[:1].hex() or 'none'}")
+        _plain(line.payload[1:], "a LOG")
+    return f"{len(lines)} LOGs"
+
+
+SPARE: dict[tuple[int, bool], tuple[tuple[int, int], ...]] = {
+    (MessageType.HELLO, False): ((14, 2),), (MessageType.BLOB_READ, False): ((1, 1),),
+    (MessageType.PARAM_GET, False): ((2, 2),), (MessageType.PARAM_SET, False): ((2, 2),),
+    (MessageType.STATE_CMD, False): ((1, 3),), (MessageType.STREAM_SET, False): ((1, 1), (13, 3)),
+    (MessageType.STREAM_GET, False): ((14, 2),), (MessageType.HEARTBEAT, False): ((38, 2),),
+    (MessageType.EVENT, False): ((11, 1),), (MessageType.BLOB_READ, True): ((3, 1),),
+    (MessageType.STREAM_GET, True): ((3, 1),),
+}  # fmt: skip
+"""Where `pad` bytes stand, and how many, by type of message and whether it is a refusal."""
+
+
+def spare(heard: Heard) -> str:
+    """What a message has in bits and bytes that are sent as 0, in words."""
+    frame = heard.frame
+    if frame.flags & 0xC0 or heard.reserved:
+        return f"{name_of(frame.type)} has flags 0x{frame.flags:02x}, reserved byte 0x{heard.reserved:02x}"
+    for at, n in SPARE.get((frame.type, frame.is_error), ()):
+        if any(pad := frame.payload[at : at + n]):
+            return f"{name_of(frame.type)} has pad bytes {pad.hex()} at {at}"
+    return ""
+
+
+@check("sent-as-zero", "0.1 1.14")
+def sent_as_zero(device: Device) -> str:
+    """Bits 6 and 7 of the flags, the reserved byte and pad bytes of replies, refusals and heartbeats are 0."""
+    probe = device.probe
+    probe.hello()
+    asked: list[tuple[int, bytes]] = [
+        (MessageType.TIME_SYNC, b""), (MessageType.BLOB_READ, BlobRead(0, 16, 0).pack()),
+        (MessageType.BLOB_READ, BlobRead(9, 16, 0).pack()),
+        (MessageType.STATE_CMD, struct.pack("<BxxxI", Command.STOP, 0)),
+    ]  # fmt: skip
+    for record in device.descriptor.parameters[:1]:
+        asked.append((MessageType.PARAM_GET, ParamGet(record.id).pack()))
+        if not record.flags & Flag.READ_ONLY:
+            asked.append((MessageType.PARAM_SET, ParamSet(record.id, device.parameter(record).value).pack()))
+    for channel in device.descriptor.channels[:1]:
+        asked.append((MessageType.STREAM_SET, struct.pack("<BBHHHH", 0, 0, 100, 20, 1, channel.id)))
+        asked.append((MessageType.STREAM_GET, bytes(4)))
+    for kind, payload in asked:
+        probe.ask(kind, payload)
+    probe.beat()
+    heard = [each for each in probe.heard if each.frame.node == probe.node]
+    for each in heard:
+        if words := spare(each):
+            raise Failed(words)
+    return f"{len(heard)} messages of {len({each.frame.type for each in heard})} types: all are 0"
+
+
+@check("envelope", "3.1 2.2")
+def envelope(device: Device) -> str:
+    """What a device sends has its major and its node; heartbeats have neither flag nor tid, replies a tid."""
+    probe = device.probe
+    probe.ask(MessageType.BLOB_READ, BlobRead(9, 8, 0).pack())
+    probe.ask(MessageType.TIME_SYNC)
+    probe.listen(0.25)
+    nodes = range(1, max(device.hello.nodes, probe.node) + 1)
+    heard = [each.frame for each in probe.heard if not probe.line.bus or each.frame.node == probe.node]
+    for frame in heard:
+        unasked = frame.type in UNASKED
+        reasons = {
+            f"flags 0x{frame.flags:02x}": frame.major != MAJOR or (frame.is_error and not frame.is_reply),
+            f"flags 0x{frame.flags:02x}, tid {frame.tid}": unasked and bool(frame.is_reply or frame.tid),
+            f"node {frame.node}": frame.node not in nodes,
+        }
+        for words, wrong in reasons.items():
+            if wrong:
+                raise Failed(f"{name_of(frame.type)} has {words}")
+    return f"{len(heard)} messages with major {MAJOR} and the device's node"
+
+
+@check("tick-goes-on", "10.1 5.7")
 def tick_goes_on(device: Device) -> str:
-    """The tick never goes back, neither in TIME_SYNC nor in heartbeats."""
+    """The tick never goes back, neither in TIME_SYNC nor in heartbeats; rx_tick is not after tx_tick."""
     probe = device.probe
     ticks: list[int] = []
     for _ in range(30):
@@ -246,7 +428,7 @@ def tick_goes_on(device: Device) -> str:
     return f"{len(ticks)} ticks of TIME_SYNC and {len(beats)} of heartbeats, none goes back"
 
 
-@check("tick-hz", 10, "Device ticks are the time base")
+@check("tick-hz", "10.2")
 def tick_hz(device: Device) -> str:
     """The tick rate is tick_hz, by the host's clock."""
     probe = device.probe

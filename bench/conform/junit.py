@@ -32,7 +32,7 @@ def as_xml(run: Run, about_run: dict[str, Any]) -> str:
             )
             words = printable(result.evidence)
             if result.verdict is Verdict.FAIL:
-                says = f"SPEC chapter {result.check.chapter}: {result.check.says}"
+                says = f"SPEC {result.check.cites[0]}: {result.check.says}"
                 ElementTree.SubElement(case, "failure", message=words, type="failed").text = says
             elif result.verdict is not Verdict.PASS:
                 ElementTree.SubElement(case, "skipped", message=f"{WORDS[result.verdict]}: {words}")

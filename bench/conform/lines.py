@@ -9,7 +9,7 @@ from protocol.canmap.host import CanWire, stop_record
 from protocol.canmap.ids import BROADCAST, STATUS_SLOTS, CanClass, CanId, parse_id
 from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
 from protocol.codes import MessageType
-from protocol.framing import CONNECT_PREAMBLE, Deframer, Frame, encode_frame, parse_frame, wrapped
+from protocol.framing import CONNECT_PREAMBLE, HEADER_BYTES, Deframer, Frame, encode_frame, parse_frame, wrapped
 from protocol.links import Link
 
 DEVICE_STATUS = {STATUS_SLOTS[kind] for kind in (MessageType.HEARTBEAT, MessageType.EVENT, MessageType.LOG)}
@@ -17,11 +17,16 @@ DEVICE_STATUS = {STATUS_SLOTS[kind] for kind in (MessageType.HEARTBEAT, MessageT
 
 @dataclass(frozen=True)
 class Heard:
-    """A message as it came, at `at` s of the link's clock; `transfer` is its transfer id on CAN."""
+    """A message as it came, at `at` s of the link's clock; `transfer` is its transfer id on CAN.
+
+    `reserved`: the last byte of its header, which CAN does not carry; `slot`: of its identifier on CAN.
+    """
 
     at: float
     frame: Frame
     transfer: int = 0
+    reserved: int = 0
+    slot: int = 0
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,8 @@ class ByteLine:
 
     def __init__(self) -> None:
         self._deframer = Deframer()
+        self.came = bytearray()
+        """The bytes that came since `preamble`."""
 
     def encode(self, frame: Frame, reserved: int = 0) -> bytes:
         """What is written for a frame, whose reserved byte is this."""
@@ -48,11 +55,13 @@ class ByteLine:
 
     def preamble(self) -> bytes:
         """What is written before HELLO."""
+        self.came.clear()
         return CONNECT_PREAMBLE
 
     def feed(self, data: bytes, at: float) -> list[Heard | BusFrame]:
         """What these bytes complete."""
-        return [Heard(at, parse_frame(raw)) for raw in self._deframer.feed(data)]
+        self.came += data
+        return [Heard(at, parse_frame(raw), reserved=raw[HEADER_BYTES - 1]) for raw in self._deframer.feed(data)]
 
     @property
     def damaged(self) -> int:
@@ -73,8 +82,8 @@ class BusLine:
         self._encoder = TransferEncoder(rates.fd, extended)
         self._counters = CanCounters()
         self._reassemblers: dict[CanId, Reassembler] = {}
-        self.records: list[tuple[float, CanId, bytes]] = []
-        """The frames of HBP that came since it was emptied, and when each did."""
+        self.records: list[tuple[int, CanId, bytes]] = []
+        """The frames of HBP that came since it was emptied, with their flags."""
 
     @property
     def damaged(self) -> int:
@@ -109,19 +118,19 @@ class BusLine:
         """A frame of class 0."""
         return stop_record(node, self.extended, self.rates.fd)
 
-    def record(self, can_id: CanId, data: bytes) -> bytes:
-        """One frame."""
-        return pack_record(can_id.pack(self.extended), data, self.rates.fd)
+    def record(self, can_id: CanId, data: bytes, fd: bool | None = None) -> bytes:
+        """One frame, of the kind of the bus where `fd` is None."""
+        return pack_record(can_id.pack(self.extended), data, self.rates.fd if fd is None else fd)
 
     def feed(self, data: bytes, at: float) -> list[Heard | BusFrame]:
         """See `ByteLine`."""
         found: list[Heard | BusFrame] = []
-        for number, length, _, _, _, room in RECORD.iter_unpack(data):
+        for number, length, flags, _, _, room in RECORD.iter_unpack(data):
             parts = parse_id(number, self.extended)
             if parts is None:
                 continue
             part = room[:length]
-            self.records.append((at, parts, part))
+            self.records.append((flags, parts, part))
             if parts.kind in (CanClass.EDGES, CanClass.SAMPLES, CanClass.SAMPLES_2):
                 slot = parts.slot + (16 if parts.kind == CanClass.SAMPLES_2 else 0)
                 if parts.node == self.node:
@@ -134,7 +143,7 @@ class BusLine:
                 self._reassemblers[parts] = Reassembler(parts.node, self._counters)
             message = self._reassemblers[parts].feed(part)
             if message is not None:
-                found.append(Heard(at, parse_frame(message), part[-1] & 31))
+                found.append(Heard(at, parse_frame(message), part[-1] & 31, slot=parts.slot))
         return found
 
 

@@ -6,25 +6,27 @@ import math
 import struct
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.conform.checks import Carrier, Group
-from bench.conform.data import EDGES_FIRST, edges_ahead
-from bench.conform.device import PATIENCE, Device, ids, require_granted
+from bench.conform.data import edges_ahead, late
+from bench.conform.device import PATIENCE, Block, Configured, Device, ids, require_granted
 from bench.conform.levels import MOTION
 from bench.conform.probe import accepted, read, state_name
-from bench.conform.setpoints import code_name, send
+from bench.conform.setpoints import NO_MODE, code_name, is_taken, send
 from bench.conform.verdicts import Failed, NotApplicable, Unknown
 from bench.device.safety import is_off, says
 from bench.rig.runaway import Runaway
 from bench.signal.units import RPM, pole_pairs
 from bench.signal.waveforms.sectors import edge_passages, steps_between
-from protocol.codes import DriveState, ErrorCode, EventCode, Fault, Role, SetpointMode
+from protocol.codes import Command, DriveState, ErrorCode, EventCode, Fault, Role, SetpointMode
 from protocol.descriptor import Channel
 from protocol.messages import Heartbeat, StateReply
 from protocol.signals import Flag, Unit
+from protocol.streams import OVERRUN
 
 check = Group("motion", MOTION)
 
@@ -32,21 +34,54 @@ TURNS = 1.5  # s for which it turns
 RUN_UP = 0.3  # s of them after which the direction is looked at
 LATENCY_MS = 10
 RATE = 200.0  # Hz of the reference channel
+COARSE = 50  # ticks of a PWM period, above which edges are not all at the same place in one
+ALONE, ALONE_MS = 0.8, 60  # s for which it turns with a stream of edges alone, and that stream's max_latency_ms
+STRETCH = 0.25  # s in which motion is measured
+TWITCH = math.radians(60)  # that a shaft without a setpoint may turn
+COASTS = 24  # STRETCHes that a shaft may need to come to rest
+LITTLE = 2.0**-10  # A: no motor turns by it
 COMMON = 1.05  # a setpoint beyond a limit, over that
 
 
 @dataclass(frozen=True)
-class Turn:
-    """What came while it turned: edges as (index, tick, codes), the encoder's travel in rad, and heartbeats."""
+class Edge:
+    """A record of EDGES, with the index that its frame gives it, and when it came; `flags` is 0 on CAN."""
 
-    edges: list[tuple[int, int, int]]
+    index: int
+    tick: int
+    codes: int
+    flags: int
+    encoder: int
+    at: float
+
+    @property
+    def before(self) -> int:
+        """The Hall code before it."""
+        return self.codes & 7
+
+    @property
+    def after(self) -> int:
+        """The Hall code after it."""
+        return self.codes >> 3 & 7
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What came while it turned: edges, the encoder's travel in rad, heartbeats, and blocks of edges on a byte link."""
+
+    edges: list[Edge]
+    blocks: list[Block]
     travel: float
     beats: list[Heartbeat]
+    told: Configured | None
+    """Of the stream of edges."""
     ahead: str
     """Evidence that edges are ahead of samples; empty where that was not so, and `late` says why."""
     late: str
     stopped: Heartbeat
     answered: DriveState
+    ended: int
+    """Tick when all had come."""
 
 
 def spin(device: Device) -> None:
@@ -54,9 +89,10 @@ def spin(device: Device) -> None:
     if device.hello.role != Role.DRIVE:
         raise NotApplicable(f"the device is {device.hello.role.name}, not a drive")
     device.run()
-    beat = send(device, SetpointMode.SPEED, 0x5EED, device.speed_rpm * RPM)
-    if beat.setpoint_counter != 0x5EED or beat.state != DriveState.RUNNING:
-        raise Unknown(f"SPEED {device.speed_rpm:g} r/min was not accepted; the state is {state_name(beat.state)}")
+    taken = is_taken(device, SetpointMode.SPEED, 0x5EED, device.speed_rpm * RPM)
+    if not taken or (state := device.fresh().state) != DriveState.RUNNING:
+        words = "was not accepted" if not taken else f"led to {state_name(state)}"
+        raise Unknown(f"SPEED {device.speed_rpm:g} r/min {words}")
 
 
 def turned(device: Device) -> Turn:
@@ -72,9 +108,10 @@ def reference(device: Device) -> Channel | None:
 
 def _turn(device: Device) -> Turn:
     channel = reference(device)
-    slot = None
+    slot, edges = None, None
     if device.offers_edges:
-        slot = device.configure_edges(0).reply.slot
+        edges = device.configure_edges(0)
+        slot = edges.reply.slot
     mask = 1 if device.offers_edges else 0
     told = None
     if device.descriptor.channels:
@@ -101,7 +138,10 @@ def _turn(device: Device) -> Turn:
         except Unknown:
             ahead = ""
     travel = _travel(device, channel, told.reply.slot if told else 0)
-    return Turn(_edges(device, slot), travel, beats, ahead, late, stopped, read(answer.frame, StateReply).state)
+    blocks = [block for block in device.blocks(0) if block.edges]
+    state = read(answer.frame, StateReply).state
+    ended = device.probe.tick()[1]
+    return Turn(_edges(device, slot), blocks, travel, beats, edges, ahead, late, stopped, state, ended)
 
 
 class _Watch:
@@ -124,7 +164,7 @@ class _Watch:
         if since == self._seen:
             return
         slot, edge_slot = self._slots
-        edges = [(tick, codes) for _, tick, codes in _edges(device, edge_slot, since)]
+        edges = [(edge.tick, edge.codes) for edge in _edges(device, edge_slot, since)]
         if edges and self._edge is not None and (ticks := (edges[-1][0] - self._edge[0]) & 0xFFFFFFFF) < 1 << 31:
             codes = np.array([codes for _, codes in edges])
             self._runaway.by_edges(now, max(ticks, 1) / device.hz, steps_between(codes & 7, codes >> 3 & 7))
@@ -140,17 +180,20 @@ class _Watch:
             raise Failed(f"the drive {words}; STOP was sent")
 
 
-def _edges(device: Device, slot: int | None, since: tuple[int, int] = (0, 0)) -> list[tuple[int, int, int]]:
+def _edges(device: Device, slot: int | None, since: tuple[int, int] = (0, 0)) -> list[Edge]:
     """`since`: how many messages, and frames of streams on a bus, are left out."""
-    found: list[tuple[int, int, int]] = []
+    found: list[Edge] = []
     for block in device.blocks(since=since[0]):
         if block.edges:
             rows = struct.iter_unpack("<IBBH", block.data)
-            found += [(block.index + k, tick, codes) for k, (tick, codes, _, _) in enumerate(rows)]
+            found += [
+                Edge(block.index + k, tick, codes, flags, encoder, block.at)
+                for k, (tick, codes, flags, encoder) in enumerate(rows)
+            ]
     for frame in device.probe.stream_frames[since[1] :]:
         if frame.edges and frame.slot == slot:
-            tick, codes, index = struct.unpack_from("<IBB", frame.data)
-            found.append((index, tick, codes))
+            tick, codes, index, encoder = struct.unpack_from("<IBBH", frame.data)
+            found.append(Edge(index, tick, codes, 0, encoder, frame.at))
     return found
 
 
@@ -176,7 +219,7 @@ def _turned_by(angles: NDArray[np.float64]) -> float:
     return float(steps.sum())
 
 
-@check("stop", 7, "STOP is never refused", critical=True)
+@check("stop", "7.9", critical=True)
 def stop(device: Device) -> str:
     """STOP while turning leads to IDLE, outputs off."""
     turn = turned(device)
@@ -185,11 +228,11 @@ def stop(device: Device) -> str:
     return f"at {device.speed_rpm:g} r/min: IDLE in the reply, IDLE and outputs off in a later heartbeat"
 
 
-@check("direction", 12, "Positive rotation passes through the sectors in ascending order")
+@check("direction", "12.2")
 def direction(device: Device) -> str:
     """A positive speed turns the motor forward, by its edges and by its encoder."""
     turn = turned(device)
-    codes = np.array([codes for _, _, codes in turn.edges], np.int64)
+    codes = np.array([edge.codes for edge in turn.edges], np.int64)
     _, way = edge_passages(codes & 7, codes >> 3 & 7)
     up, down = np.count_nonzero(way > 0), np.count_nonzero(way < 0)
     words = f"{up} edges forward, {down} in reverse" if turn.edges else "no edges"
@@ -204,16 +247,16 @@ def direction(device: Device) -> str:
     return f"{words} at {device.speed_rpm:g} r/min"
 
 
-@check("edges-counted", 5, "Hall edges since boot")
+@check("edges-counted", "10.4 5.14")
 def edges_counted(device: Device) -> str:
     """`edges` in the heartbeat rises by the number of edges received between two heartbeats."""
     device.require_edges()
     turn = turned(device)
-    beats = [beat for beat in turn.beats if turn.edges and _before(turn.edges[0][1], beat.tick)]
+    beats = [beat for beat in turn.beats if turn.edges and _before(turn.edges[0].tick, beat.tick)]
     if len(beats) < 2:
         raise Unknown(f"{len(turn.edges)} edges received, and {len(beats)} heartbeats after the first")
     first, last = beats[0], beats[-1]
-    came = sum(_before(first.tick, tick) and not _before(last.tick, tick) for _, tick, _ in turn.edges)
+    came = sum(_before(first.tick, edge.tick) and not _before(last.tick, edge.tick) for edge in turn.edges)
     counted = (last.edges - first.edges) & 0xFFFFFFFF
     words = f"{came} edges received between two heartbeats, `edges` rose by {counted}"
     if came != counted:
@@ -221,12 +264,17 @@ def edges_counted(device: Device) -> str:
     return words
 
 
+def _signed(ticks: int) -> int:
+    """A difference of ticks of 32 bits."""
+    return ((ticks + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
+
+
 def _before(tick: int, other: int) -> bool:
     """Whether `tick` was before `other`, by their low 32 bits."""
     return 0 < (other - tick) & 0xFFFFFFFF < 1 << 31
 
 
-@check("edges-before-samples", 11, EDGES_FIRST, carrier=Carrier.BYTES)
+@check("edges-before-samples", "11.43", carrier=Carrier.BYTES)
 def edges_before_samples(device: Device) -> str:
     """Every edge comes before any sample taken at or after it."""
     device.require_edges()
@@ -238,7 +286,245 @@ def edges_before_samples(device: Device) -> str:
     return turn.ahead
 
 
-@check("watchdog", 7, "When it expires: outputs off, FAULT with the bit WATCHDOG")
+def _some(device: Device, least: int = 2) -> list[Edge]:
+    """Edges of the turn. Raises NotApplicable, Unknown."""
+    device.require_edges()
+    edges = turned(device).edges
+    if len(edges) < least:
+        raise Unknown(f"only {len(edges)} edges received")
+    return edges
+
+
+@check("edge-codes", "11.38 11.39 11.41 12.4")
+def edge_codes(device: Device) -> str:
+    """The code before an edge is that after the one before it, and "illegal" marks those that it must, and no other."""
+    edges = _some(device)
+    for one, edge in pairwise(edges):
+        if one.after != edge.before and (edge.index - one.index) % 256 == 1:
+            raise Failed(f"edge {edge.index} is from {edge.before} to {edge.after}, the one before to {one.after}")
+    for edge in edges:
+        if edge.before == edge.after or edge.codes & 0x80:
+            raise Failed(f"edge {edge.index} has codes 0x{edge.codes:02x}, from {edge.before} to {edge.after}")
+        illegal = edge.after in (0, 7) or (edge.before ^ edge.after).bit_count() > 1
+        if bool(edge.codes & 0x40) != illegal:
+            words = "marked" if edge.codes & 0x40 else "not marked"
+            raise Failed(f"edge {edge.index} from {edge.before} to {edge.after} is {words} as illegal")
+    illegals = sum(bool(edge.codes & 0x40) for edge in edges)
+    return f"{len(edges)} edges, each from the code to which the one before led; {illegals} illegal"
+
+
+@check("edge-flags", "11.41", carrier=Carrier.BYTES)
+def edge_flags(device: Device) -> str:
+    """The flags of an edge are 0."""
+    edges = _some(device, 1)
+    if wrong := [edge.flags for edge in edges if edge.flags]:
+        raise Failed(f"{len(wrong)} of {len(edges)} edges have flags 0x{wrong[0]:02x}")
+    return f"{len(edges)} edges with flags 0"
+
+
+@check("edge-ticks", "11.37")
+def edge_ticks(device: Device) -> str:
+    """Edges follow one another in time, none is of the future, and they are not all on samples."""
+    edges, ended = _some(device, 12), turned(device).ended
+    for one, edge in pairwise(edges):
+        if _signed(edge.tick - one.tick) < 0:
+            raise Failed(f"edge {edge.index} has tick {edge.tick}, the one before it {one.tick}")
+    if _signed(edges[-1].tick - ended) > 0:
+        raise Failed(f"the last edge has tick {edges[-1].tick}, a TIME_SYNC after it {ended}")
+    period = device.ticks_per_period
+    if period > COARSE and len({edge.tick % period for edge in edges}) == 1:
+        raise Failed(f"the ticks of {len(edges)} edges are all {edges[0].tick % period} in a PWM period of {period}")
+    return f"{len(edges)} edges, each later than the one before it"
+
+
+@check("edge-head", "11.37 11.34 11.15 11.42", carrier=Carrier.BYTES)
+def edge_head(device: Device) -> str:
+    """Frames of edges have the index and tick of their first record, whole records, and consecutive seq from 0."""
+    _some(device, 1)
+    turn = turned(device)
+    assert turn.told is not None
+    due, seq = None, 0
+    for block in turn.blocks:
+        first = struct.unpack_from("<I", block.data)[0]
+        reasons = {
+            f"tick {block.tick}, its first record {first}": block.tick != first,
+            f"n {block.n}, but {len(block.data)} bytes of records": block.n * 8 != len(block.data),
+            f"{block.n} records, block is {turn.told.reply.block}": block.n > turn.told.reply.block,
+            f"cfg_id {block.cfg_id}, not {turn.told.reply.cfg_id}": block.cfg_id != turn.told.reply.cfg_id,
+            f"seq {block.seq}, not {seq}": block.seq != seq and not block.flags & OVERRUN,
+            f"index {block.index}, not {due}": due is not None and block.index != due and not block.flags,
+            f"flags 0x{block.flags:x}, though nothing is missing": bool(block.flags) and block.index == due,
+        }
+        for words, wrong in reasons.items():
+            if wrong:
+                raise Failed(f"a frame of edges has {words}")
+        due, seq = (block.index + block.n) & 0xFFFFFFFF, (block.seq + 1) & 0xFFFF
+    return f"{len(turn.blocks)} frames of edges, with seq from 0 and index from {turn.blocks[0].index}"
+
+
+@check("edge-index", "11.36")
+def edge_index(device: Device) -> str:
+    """The index of an edge is the number of edges before it, by a heartbeat between the two."""
+    edges, beats = _some(device), turned(device).beats
+    size = 256 if device.probe.line.bus else 1 << 32
+    looked = 0
+    for beat in beats:
+        later = [edge for edge in edges if _signed(edge.tick - beat.tick) > 0]
+        if not later:
+            continue
+        looked += 1
+        if (later[0].index - beat.edges) % size:
+            raise Failed(f"after a heartbeat with {beat.edges} edges comes edge {later[0].index} (of {size})")
+    if not looked:
+        raise Unknown("no edge received after a heartbeat")
+    return f"{looked} heartbeats have the index of the edge that follows"
+
+
+@check("edge-encoder", "11.40")
+def edge_encoder(device: Device) -> str:
+    """The encoder's counts at edges advance by as much in each electrical turn; without an encoder they are 0."""
+    edges, channel = _some(device, 14), reference(device)
+    counts = [edge.encoder for edge in edges]
+    if channel is None:
+        if any(counts):
+            raise Failed(f"no channel is an encoder's (REFERENCE), but edges have counts {counts[:6]}")
+        return "no encoder: all counts are 0"
+    turns = sorted(
+        ((six.encoder - one.encoder + 0x8000) & 0xFFFF) - 0x8000
+        for at, (one, six) in enumerate(zip(edges[:-6], edges[6:], strict=True))
+        if all((edge.before, edge.after) in FORWARD for edge in edges[at : at + 7])
+    )
+    if not turns:
+        raise Unknown("the motor did not turn steadily forward")
+    usual = turns[len(turns) // 2]
+    near = 2 + 0.1 * abs(usual)
+    wraps = [n for n in turns if abs(n - usual) > near]  # of a counter that begins anew with each turn of the shaft
+    words = f"{len(turns)} electrical turns, most of about {usual} counts, {len(wraps)} otherwise"
+    if len(set(counts)) == 1 or (wraps and max(wraps) - min(wraps) > near) or 2 * len(wraps) > len(turns):
+        raise Failed(f"{words}: {turns[0]} to {turns[-1]}")
+    return words
+
+
+FORWARD = set(pairwise((1, 3, 2, 6, 4, 5, 1)))
+
+
+@check("edges-alone", "11.11 11.16")
+def edges_alone(device: Device) -> str:
+    """A stream of edges alone has all edges, none later than max_latency_ms."""
+    device.require_edges()
+    told = device.configure_edges(0, latency_ms=ALONE_MS)
+    device.start_streams(1)
+    with device.probe.watched(_Watch(device, None, 0, told.reply.slot).look):
+        spin(device)
+        device.probe.listen(ALONE)
+    device.probe.stop()
+    device.fresh()
+    device.probe.listen(0.15 + 1e-3 * ALONE_MS)
+    beats = [beat for _, beat in device.probe.beats]
+    counted = (beats[-1].edges - beats[0].edges) & 0xFFFFFFFF
+    device.stop_streams()
+    edges = _edges(device, told.reply.slot)
+    came = [edge for edge in edges if _signed(edge.tick - beats[0].tick) > 0 >= _signed(edge.tick - beats[-1].tick)]
+    words = f"{len(came)} edges came, `edges` rose by {counted}"
+    if len(came) != counted:
+        raise Failed(words)
+    if not counted:
+        raise Unknown("no edges: the motor did not turn")
+    return f"{words}; {late(device, [(edge.at, edge.tick) for edge in came], ALONE_MS, 'edges')}"
+
+
+@check("undisturbed", "8.11 8.14 7.6 4.15")
+def undisturbed(device: Device) -> str:
+    """HELLO, START, refused requests and rejected setpoints leave the speed as it is."""
+    probe = device.probe
+    motion = _Motion(device)
+    with probe.watched(_Watch(device, motion.channel, motion.slot, None).look):
+        spin(device)
+        probe.listen(RUN_UP)
+        before = motion.turned()
+        for mode, value, value2 in ((NO_MODE, 0.0, 0.0), (1, math.nan, 0.0), (1, 0.0, math.nan)):
+            send(device, mode, 0x0BAD, value, value2)
+        probe.hello()
+        probe.command(Command.START)
+        probe.command(Command.ARM, device.hello.boot_id ^ 1)
+        probe.command(0)
+        probe.listen(RUN_UP)
+        after = motion.turned()
+    if abs(before) < math.pi / 3:
+        raise Unknown("no motion seen")
+    words = f"{math.degrees(before):.0f}, then {math.degrees(after):.0f} electrical degrees in {STRETCH:g} s"
+    if not 0.5 < after / before < 2.0:
+        raise Failed(f"{words}, after HELLO, START, refused requests and rejected setpoints")
+    return words
+
+
+@check("starts-at-rest", "7.3 8.14 8.11")
+def starts_at_rest(device: Device) -> str:
+    """A setpoint does not outlast STOP or a fault, and one before START is forgotten: RUNNING begins at rest."""
+    probe, speed = device.probe, device.speed_rpm * RPM
+    motion = _Motion(device)
+    words = []
+    for what, turns, trips in (("STOP", True, False), ("a fault", True, True), ("setpoints before it", False, False)):
+        with probe.watched(_Watch(device, motion.channel, motion.slot, None).look):
+            if turns:
+                spin(device)
+                probe.listen(RUN_UP)
+            if trips:
+                probe.feed_every = None
+                device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
+        device.rest()
+        if not motion.stands():
+            raise Unknown("the shaft does not come to rest")
+        for state in (DriveState.IDLE, DriveState.ARMED):
+            device.enter(state)
+            if not turns:
+                send(device, SetpointMode.SPEED, 1, speed)
+        require_granted(probe.command(Command.START), "START")
+        travel = abs(motion.turned()) + abs(motion.turned())
+        device.rest()
+        words.append(f"{math.degrees(travel):.0f} electrical degrees after {what}")
+        if travel > TWITCH:
+            raise Failed(f"{words[-1]} and a new START, without a setpoint, in {2 * STRETCH:g} s")
+    return ", ".join(words)
+
+
+class _Motion:
+    """How far the shaft turns, by its encoder or by the edges that heartbeats count; Unknown where it has neither."""
+
+    def __init__(self, device: Device) -> None:
+        self._device, self.channel = device, reference(device)
+        self._told: Configured | None = None
+        if self.channel is not None:
+            self._told = device.configure(1, ids([self.channel]), RATE, LATENCY_MS)
+            device.start_streams(2)
+        elif not device.offers_edges:
+            raise Unknown("the device has neither encoder nor edges by which its motion shows")
+
+    @property
+    def slot(self) -> int:
+        """Of the stream on CAN."""
+        return self._told.reply.slot if self._told else 0
+
+    def turned(self) -> float:
+        """Electrical rad by which it turns from now on in STRETCH s."""
+        device, probe = self._device, self._device.probe
+        if self.channel is None:
+            before = device.fresh().edges
+            probe.listen(STRETCH)
+            return ((device.fresh().edges - before) & 0xFFFFFFFF) * math.pi / 3
+        since = (len(probe.heard), len(probe.stream_frames))
+        probe.listen(STRETCH)
+        angles = _angles(device, self.channel, self.slot, since)
+        if len(angles) < 2:
+            raise Unknown(f"{len(angles)} samples of {self.channel.name} received within {STRETCH:g} s")
+        return _turned_by(angles)
+
+    def stands(self) -> bool:
+        """Whether the shaft comes to rest in some seconds."""
+        return any(abs(self.turned()) < TWITCH / 10 for _ in range(COASTS))
+
+
+@check("watchdog", "7.28")
 def watchdog(device: Device) -> str:
     """While turning, an unfed watchdog trips: FAULT, outputs off."""
     spin(device)
@@ -255,9 +541,9 @@ def watchdog(device: Device) -> str:
     return words
 
 
-@check("never-clipped", 8, "Values are never clipped")
+@check("never-clipped", "8.1 8.6 8.9")
 def never_clipped(device: Device) -> str:
-    """With the limit lowered to --speed, a higher speed is rejected with that limit."""
+    """With the limit lowered to --speed, a higher speed is rejected with that limit, in either direction."""
     record = device.named("omega_m_max")
     if record is None or record.flags & Flag.READ_ONLY:
         raise Unknown("the speed limit cannot be lowered (no parameter omega_m_max): not tried")
@@ -266,7 +552,10 @@ def never_clipped(device: Device) -> str:
         limit = float(np.float32(device.speed_rpm * RPM))
         require_granted(device.set(record, limit), f"omega_m_max = {limit:g}")
         device.run()
-        return _beyond(device, limit)
+        words = f"{_beyond(device, limit)}; {_beyond(device, -limit)}"
+        if not is_taken(device, SetpointMode.SPEED, 0x0C0D, limit):
+            raise Failed(f"{words}; the limit itself, {limit:.6g} rad/s, is not accepted")
+        return f"{words}; the limit itself: accepted"
     finally:
         try:
             device.rest()
@@ -275,14 +564,49 @@ def never_clipped(device: Device) -> str:
 
 
 def _beyond(device: Device, limit: float) -> str:
-    was = device.fresh()
+    was, since = device.fresh(), len(device.events(EventCode.SETPOINT_REJECTED))
     now = send(device, SetpointMode.SPEED, 0x0BAD, COMMON * limit)
     words = f"SPEED {COMMON * limit:.5g} rad/s, the limit is {limit:.5g}"
     if now.setpoint_counter == 0x0BAD:
         raise Failed(f"{words}: accepted")
-    events = device.events(EventCode.SETPOINT_REJECTED)
+    events = device.events(EventCode.SETPOINT_REJECTED)[since:]
     if not events and now.setpoints_rejected == was.setpoints_rejected:
         raise Unknown(f"{words}: not accepted, but no rejection seen")
-    if events and (events[-1].arg, events[-1].detail) != (ErrorCode.OUT_OF_RANGE, limit):
+    if events and (events[-1].arg, events[-1].detail) != (ErrorCode.OUT_OF_RANGE, abs(limit)):
         raise Failed(f"{words}: {code_name(events[-1])}, detail {events[-1].detail:.9g}")
-    return f"{words}: rejected with OUT_OF_RANGE, detail {limit:.9g}" if events else f"{words}: rejected"
+    return f"{words}: rejected with OUT_OF_RANGE, detail {abs(limit):.9g}" if events else f"{words}: rejected"
+
+
+@check("current-limit", "8.9 8.8 8.6")
+def current_limit(device: Device) -> str:
+    """With `i_max` lowered to next to nothing, a current beyond it is rejected, by magnitude; the limit is accepted."""
+    record = device.named("i_max")
+    if record is None or record.flags & Flag.READ_ONLY:
+        raise NotApplicable("the device has no parameter i_max that can be set")
+    told = device.parameter(record)
+    limit = max(told.lo, LITTLE)
+    if not limit <= told.hi:
+        raise Unknown(f"i_max goes up to {told.hi:g} A")
+    words = []
+    try:
+        require_granted(device.set(record, limit), f"i_max = {limit:g}")
+        device.run()
+        if not is_taken(device, SetpointMode.CURRENT, 1):
+            raise Unknown("CURRENT 0 was not accepted")
+        for n, (i_q, i_d) in enumerate(((COMMON, 0.0), (-COMMON, 0.0), (0.0, COMMON), (0.8, 0.8)), 0x0100):
+            since = len(device.events(EventCode.SETPOINT_REJECTED))
+            what = f"CURRENT {i_q * limit:.3g}, {i_d * limit:.3g} A"
+            if is_taken(device, SetpointMode.CURRENT, n, i_q * limit, i_d * limit):
+                raise Failed(f"{what}: accepted, i_max is {limit:g}")
+            events = device.events(EventCode.SETPOINT_REJECTED)[since:]
+            if events and (events[0].arg, events[0].detail) != (ErrorCode.OUT_OF_RANGE, limit):
+                raise Failed(f"{what}: {code_name(events[0])}, detail {events[0].detail:.9g}, i_max is {limit:g}")
+            words.append(what)
+        if not is_taken(device, SetpointMode.CURRENT, 2, limit):
+            raise Failed(f"CURRENT {limit:g} A, which is i_max, is not accepted")
+        return f"{', '.join(words)}: rejected with {limit:g}; {limit:g} A: accepted"
+    finally:
+        try:
+            device.rest()
+        finally:
+            device.put_back(record, told.value)

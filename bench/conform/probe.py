@@ -43,6 +43,7 @@ M = TypeVar("M", bound=Message)
 
 TRIES = 3
 PATIENCE = 0.25  # s for which an answer is waited for, before the request is repeated
+HELD = 0.05  # s beyond what was asked for that one look at the link may take; else this program was held up
 HELLO_TRIES = 10
 GRACE = 0.03  # s in which an answer that must not come would come, once a later request has been answered
 SLICE = 0.02  # s that one look at the link waits
@@ -54,7 +55,15 @@ HELLO = struct.Struct("<IBBH")
 
 
 class NoAnswer(Failed):
-    """A request was not answered."""
+    """A request of the type `kind` was not answered."""
+
+    def __init__(self, words: str, kind: int) -> None:
+        super().__init__(words)
+        self.kind = kind
+
+
+class Overdue(Unknown):
+    """A check took longer than it may."""
 
 
 @dataclass(frozen=True)
@@ -97,15 +106,24 @@ class Probe:
     """The stream frames among them on CAN, where they are no messages."""
     feed_every: float | None = None
     """s after which ALIVE is sent again while the link is listened to; None: it is not sent."""
+    held: float = 0.0
+    """s for which this program did not run although it was to look at the link, altogether."""
+    deadline: float = math.inf
+    """When it raises Overdue."""
+    mute: dict[int, str] = field(default_factory=dict)
+    """By type of request: which check found that it is not answered."""
 
     def __post_init__(self) -> None:
         self._tid = random.randrange(1, 0x10000)
         self._alive = 0
         self._watch: Callable[[], None] = lambda: None
         self._fed = -1e9
+        self._started = False  # a stream, since `quiet`
+        self._looked = self.now()
         wire = self.link.wire()
         baud = wire.baud if isinstance(wire, ByteWire) else math.inf
-        self._longest = 10 * encoded_length(MAX_PAYLOAD) / baud
+        self._byte = 10 / baud
+        self._longest = encoded_length(MAX_PAYLOAD) * self._byte
         """s that the longest frame is under way on a UART."""
 
     # -- writing and reading --------------------------------------------------------------------------------------
@@ -127,17 +145,40 @@ class Probe:
 
     def write(self, data: bytes) -> None:
         """Write bytes as they are."""
+        self._hold(0.0)
         self.link.write(data)
+        self._hold(self.takes(len(data)))
 
     def send(self, frame: Frame) -> None:
         """Write a message."""
-        self.link.write(self.line.encode(frame))
+        self.write(self.line.encode(frame))
+
+    def takes(self, n: int) -> float:
+        """s that `n` bytes are under way on a UART."""
+        return n * self._byte
+
+    def pause(self, seconds: float) -> None:
+        """Let time pass without a look at the link."""
+        self.idle(seconds)
+        self._looked = self.now()
+
+    def _hold(self, asked: float) -> None:
+        """Count what has passed since the last look at the clock beyond the `asked` s."""
+        now = self.now()
+        if (late := now - self._looked - asked) > HELD:
+            self.held += late
+        self._looked = now
 
     def poll(self, timeout: float) -> None:
         """One look at the link, of `timeout` s at most; ALIVE is sent when it is due."""
         if self.feed_every is not None and self.now() - self._fed >= self.feed_every:
             self.alive()
+        self._hold(0.0)
         data = self.link.read(max(0.0, timeout))
+        self._hold(max(0.0, timeout))
+        if self._looked > self.deadline:
+            self.deadline = math.inf  # the device is still to be left at rest
+            raise Overdue("not decided in the time that a check may take")
         for each in self.line.feed(data, self.now()) if data else ():
             if isinstance(each, BusFrame):
                 self.stream_frames.append(each)
@@ -160,21 +201,32 @@ class Probe:
 
     def listen(self, seconds: float) -> None:
         """Take what comes in so many s."""
-        end = self.now() + seconds
+        left_of = self._attended(seconds)
         slice_ = SLICE if self.feed_every is None else min(SLICE, self.feed_every)
-        while (left := end - self.now()) > 0:
+        while (left := left_of()) > 0:
             self.poll(min(slice_, left))
+
+    def _attended(self, seconds: float) -> Callable[[], float]:
+        """What is left of so many s, those not counted in which this program was held up."""
+        self._hold(0.0)
+        end, held = self._looked + seconds, self.held
+
+        def left() -> float:
+            self._hold(0.0)
+            return end + self.held - held - self._looked
+
+        return left
 
     def until(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Take what comes until `condition()`, which is of that, holds; whether it did within so many s."""
-        end = self.now() + seconds
+        left_of = self._attended(seconds)
         looked = -1
         while True:
             if len(self.heard) != looked:
                 looked = len(self.heard)
                 if condition():
                     return True
-            left = end - self.now()
+            left = left_of()
             if left <= 0:
                 return False
             self.poll(min(SLICE, left))
@@ -202,15 +254,21 @@ class Probe:
     def ask_frame(
         self, frame: Frame, *, tries: int = TRIES, wire: bytes | None = None, patience: float = PATIENCE
     ) -> Answer:
-        """The same for any frame; `wire` is written in its place. Each try waits `patience` s."""
+        """The same for any frame; `wire` is written in its place. Each try waits `patience` s.
+
+        What was not answered before is tried but once.
+        """
+        tries = 1 if frame.type in self.mute else tries
+        self._started = self._started or frame.type == MessageType.STREAM_START
         for _ in range(tries):
             since, sent = len(self.heard), self.now()
             self.write(self.line.encode(frame) if wire is None else wire)
             if self.until(lambda since=since: bool(self.answers(frame, since)), patience + self._longest):  # type: ignore[misc]
                 first = self.answers(frame, since)[0]
+                self.mute.pop(frame.type, None)
                 return Answer(first, first.at - sent)
         often = f" in {tries} tries" if tries > 1 else ""
-        raise NoAnswer(f"{name_of(frame.type)} was not answered within {patience:g} s{often}")
+        raise NoAnswer(f"{name_of(frame.type)} was not answered within {patience:g} s{often}", frame.type)
 
     def ask_again(self, frame: Frame) -> Answer:
         """Repeat a request that has been answered.
@@ -268,24 +326,30 @@ class Probe:
         return hello
 
     def quiet(self) -> None:
-        """Where stream frames have come, take those that are still under way."""
+        """Where streams have run, take the frames that are still under way."""
 
         def streamed() -> int:
             kinds = (MessageType.DATA, MessageType.EDGES)
             return len(self.stream_frames) + sum(each.frame.type in kinds for each in self.heard)
 
         before, end = 0, self.now() + MOST_QUEUED
+        if self._started and self._longest > QUIET:
+            self.listen(self._longest)
+        self._started = False
         while (now := streamed()) != before and self.now() < end:
             before = now
             self.listen(max(QUIET, self._longest))
 
     def hello(self, nonce: int | None = None, rx_max: int = 1024) -> HelloReply:
-        """Say HELLO; without `nonce` with a new one. Raises NoAnswer; Failed where it is refused or cannot be read."""
+        """Say HELLO; without `nonce` with a new one. Raises NoAnswer; Failed where it is refused.
+
+        What a reply that is too short lacks is read as 0: `link.hello` has it as a finding.
+        """
         nonce = random.getrandbits(32) if nonce is None else nonce
         answer = self.ask(MessageType.HELLO, HELLO.pack(nonce, 1, 1, rx_max), tries=HELLO_TRIES)
         if answer.frame.is_error:
             raise Failed(f"HELLO was refused: {answer}")
-        return read(answer.frame, HelloReply)
+        return HelloReply.unpack(answer.frame.payload.ljust(HelloReply.FIXED_BYTES, b"\0"))
 
     def came(self, kind: type[M], since: int = 0) -> list[tuple[float, M]]:
         """The device's messages of this kind after the first `since` that came, with the time at which each came."""

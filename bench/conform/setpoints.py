@@ -32,59 +32,122 @@ def send(device: Device, mode: int, counter: int, value: float = 0.0, value2: fl
     return device.fresh()
 
 
+def is_taken(device: Device, mode: int, counter: int, value: float = 0.0, value2: float = 0.0) -> bool:
+    """Send a setpoint; whether it is accepted: its counter is told, or no rejection is."""
+    before, since = device.fresh().setpoints_rejected, len(device.events(EventCode.SETPOINT_REJECTED))
+    beat = send(device, mode, counter, value, value2)
+    rejected = beat.setpoints_rejected != before or len(device.events(EventCode.SETPOINT_REJECTED)) > since
+    return beat.setpoint_counter == counter or not rejected
+
+
 def accepted_mode(device: Device) -> SetpointMode:
     """A mode in which zero is accepted, in RUNNING. Raises Unknown."""
     for counter, mode in enumerate(MODES, 0x1201):
-        if send(device, mode, counter).setpoint_counter == counter:
+        if is_taken(device, mode, counter):
             return mode
     raise Unknown("zero was not accepted in any of the modes SPEED, CURRENT, TORQUE")
 
 
-@check("length", 8, "Only a setpoint of the wrong length is also refused with an ErrorReply")
+@check("length", "8.13 8.2")
 def length(device: Device) -> str:
-    """A SETPOINT of 11 bytes is refused with tid 0, before the state is checked."""
-    answer = device.probe.ask_frame(device.probe.frame(MessageType.SETPOINT, payload(1, 1)[:11]), tries=1)
-    return refusal(answer, ErrorCode.BAD_LENGTH, 11, "SETPOINT of 11 bytes in IDLE")
+    """A SETPOINT of 11 or 13 bytes is refused with tid 0, before the state is checked, and counts as rejected."""
+    before, since = device.fresh(), len(device.probe.heard)
+    words = []
+    for n in (11, 13):
+        frame = device.probe.frame(MessageType.SETPOINT, (payload(1, 1) + b"\0")[:n])
+        answer = device.probe.ask_frame(frame, tries=1)
+        words.append(refusal(answer, ErrorCode.BAD_LENGTH, n, f"SETPOINT of {n} bytes in IDLE"))
+    counted = (device.fresh().setpoints_rejected - before.setpoints_rejected) & 0xFFFF
+    if counted != 2:
+        raise Failed(f"{'; '.join(words)}; setpoints_rejected counted {counted} of 2")
+    events = [event for _, event in device.probe.came(DeviceEvent, since) if event.code == EventCode.SETPOINT_REJECTED]
+    if events and not _says(events[0], ErrorCode.BAD_LENGTH, 11):
+        raise Failed(f"a SETPOINT of 11 bytes has the EVENT {code_name(events[0])}, detail {events[0].detail:.9g}")
+    return f"{'; '.join(words)}; both counted"
 
 
-@check("accepted", 8, "The heartbeat contains the last accepted `counter`")
+@check("unanswered", "3.5")
+def unanswered(device: Device) -> str:
+    """A SETPOINT is not answered, whether it is accepted or rejected."""
+    probe = device.probe
+    rejected = probe.silence(probe.line.encode(probe.frame(MessageType.SETPOINT, payload(1, 2))), "a SETPOINT in IDLE")
+    device.run()
+    mode = accepted_mode(device)
+    words = [rejected]
+    for each, what in ((mode, "a SETPOINT in RUNNING"), (NO_MODE, "one of an unknown mode")):
+        words.append(probe.silence(probe.line.encode(probe.frame(MessageType.SETPOINT, payload(each, 3))), what))
+    return "; ".join(words)
+
+
+@check("value2-unused", "8.7")
+def value2_unused(device: Device) -> str:
+    """SPEED 0 with a finite value2, which SPEED does not use, is accepted."""
+    device.run()
+    if not is_taken(device, SetpointMode.SPEED, 0x0101):
+        raise Unknown("SPEED 0 was not accepted")
+    if not is_taken(device, SetpointMode.SPEED, 0x0102, 0.0, 1e9):
+        raise Failed("SPEED 0 with value2 1e9 was rejected")
+    return "SPEED 0 with value2 1e9: accepted"
+
+
+@check("accepted", "8.15 5.15")
 def accepted(device: Device) -> str:
-    """Zero is accepted in RUNNING, and the heartbeat has its counter."""
+    """Zero is accepted in RUNNING, and the heartbeat has its counter, also after a HELLO."""
     device.run()
     mode = accepted_mode(device)
     beat = send(device, mode, 0xFEDC)
+    if beat.setpoint_counter == 0xFEDC:
+        device.probe.hello()
+        beat = device.fresh()
     if beat.setpoint_counter != 0xFEDC:
         raise Failed(f"setpoint_counter is {beat.setpoint_counter:#x}, the last setpoint had 0xfedc")
     return f"{mode.name} 0 with counter 0xfedc: accepted, setpoint_counter 0x{beat.setpoint_counter:x}"
 
 
-@check(
-    "rejections", 8, "a setpoint is accepted as a whole, or rejected as a whole by the first of these checks that fails"
-)
+@check("rejections", "8.1 8.3 8.4 8.5 8.12")
 def rejections(device: Device) -> Iterator[str]:
     """State, finite values, mode: an EVENT reports the first that is wrong."""
     yield _rejected(device, "zero in IDLE", (1, 7), ErrorCode.WRONG_STATE, DriveState.IDLE)
     yield _rejected(device, "NaN in IDLE", (1, 8, 0.0, math.nan), ErrorCode.WRONG_STATE, DriveState.IDLE)
+    device.arm()
+    yield _rejected(device, "zero in ARMED", (1, 8), ErrorCode.WRONG_STATE, DriveState.ARMED)
+    device.rest()
     device.run()
     mode = accepted_mode(device)
     nan = (mode, 9, 0.0, math.nan)
     yield _rejected(device, f"{mode.name} 0 with value2 NaN", nan, ErrorCode.BAD_VALUE, math.nan)
+    both = (mode, 9, math.inf, math.nan)
+    yield _rejected(device, f"{mode.name} inf with value2 NaN", both, ErrorCode.BAD_VALUE, math.inf)
+    second = (SetpointMode.SPEED, 9, 0.0, -math.inf)
+    yield _rejected(device, "SPEED 0 with value2 -inf", second, ErrorCode.BAD_VALUE, -math.inf)
     unknown = (NO_MODE, 10, 0.0, math.inf)
     yield _rejected(device, f"mode {NO_MODE} with value2 inf", unknown, ErrorCode.BAD_VALUE, math.inf)
     yield _rejected(device, f"mode {NO_MODE}", (NO_MODE, 11), ErrorCode.NOT_SUPPORTED, NO_MODE)
+    yield _rejected(device, "mode 0 with 1e30", (0, 12, 1e30, 0.0), ErrorCode.NOT_SUPPORTED, 0)
 
 
 def _rejected(
-    device: Device, what: str, given: tuple[int, int] | tuple[int, int, float, float], code: ErrorCode, detail: float
+    device: Device,
+    what: str,
+    given: tuple[int, int] | tuple[int, int, float, float],
+    code: ErrorCode,
+    detail: float,
+    again: bool = True,
 ) -> str:
-    since = len(device.events(EventCode.SETPOINT_REJECTED))
-    send(device, *given)
+    since, began = len(device.events(EventCode.SETPOINT_REJECTED)), device.probe.tick()[0]
+    beat = send(device, *given)
+    if beat.setpoint_counter == given[1]:
+        raise Failed(f"{what}: setpoint_counter is {given[1]}, so it was accepted")
     events = device.events(EventCode.SETPOINT_REJECTED)[since:]
+    if not events and again:  # a device may drop one
+        return _rejected(device, what, given, code, detail, again=False)
     if not events:
-        raise Unknown(f"{what}: no EVENT SETPOINT_REJECTED received; a device may drop it")
+        raise Failed(f"{what}: no EVENT SETPOINT_REJECTED received, twice, although the link had room")
     if not _says(events[0], code, detail):
         told = f"{code_name(events[0])}, detail {events[0].detail:.9g}"
         raise Failed(f"{what}: {told}, not {code.name}, detail {detail:.9g}")
+    if not began <= events[0].tick <= beat.tick or events[0].node != device.probe.node:
+        raise Failed(f"{what}: an EVENT of node {events[0].node}, tick {events[0].tick}, not {began} to {beat.tick}")
     return f"{what}: {code.name}, detail {detail:.9g}"
 
 
@@ -97,35 +160,39 @@ def _says(event: DeviceEvent, code: ErrorCode, detail: float) -> bool:
     return event.arg == code and (event.detail == detail or (math.isnan(detail) and math.isnan(event.detail)))
 
 
-@check(
-    "rejected-counted",
-    8,
-    "A rejected setpoint changes nothing and does not feed the watchdog; `setpoints_rejected` is incremented",
-)
+@check("rejected-counted", "8.12 5.15")
 def rejected_counted(device: Device) -> str:
-    """Each rejected setpoint is counted, and setpoint_counter does not change."""
+    """Each rejected setpoint is counted, in every state, and setpoint_counter does not change."""
+    idle = device.fresh().setpoints_rejected
+    for n in range(2):
+        device.probe.send(device.probe.frame(MessageType.SETPOINT, payload(1, 0x0300 + n)))
+    if (counted := (device.fresh().setpoints_rejected - idle) & 0xFFFF) != 2:
+        raise Failed(f"2 rejected in IDLE: setpoints_rejected counted {counted}")
     device.run()
     before = send(device, accepted_mode(device), 0x0100)
     for n in range(3):
         device.probe.send(device.probe.frame(MessageType.SETPOINT, payload(NO_MODE, 0x0200 + n)))
     after = device.fresh()
     counted = (after.setpoints_rejected - before.setpoints_rejected) & 0xFFFF
+    device.probe.hello()
+    if (device.fresh().setpoints_rejected - after.setpoints_rejected) & 0xFFFF:
+        raise Failed("setpoints_rejected, which counts since boot, changed at a HELLO")
     if counted != 3 or after.setpoint_counter != before.setpoint_counter:
         counters = f"setpoint_counter {after.setpoint_counter:#x}, was {before.setpoint_counter:#x}"
         raise Failed(f"3 rejected: setpoints_rejected counted {counted}, {counters}")
     return f"3 rejected: setpoints_rejected counted 3, setpoint_counter stays {after.setpoint_counter:#x}"
 
 
-@check("feeds", 7, "It is fed by ALIVE and by an *accepted* SETPOINT, and by nothing else")
+@check("feeds", "7.26 8.15")
 def feeds(device: Device) -> str:
-    """An accepted setpoint feeds the watchdog."""
+    """An accepted setpoint feeds the watchdog, also one with the counter of the last."""
     device.run()
     mode = accepted_mode(device)
     device.probe.feed_every = None
     sent, end = 0, device.probe.now() + 2.5 * device.watchdog
     while device.probe.now() < end:
         sent += 1
-        device.probe.send(device.probe.frame(MessageType.SETPOINT, payload(mode, sent)))
+        device.probe.send(device.probe.frame(MessageType.SETPOINT, payload(mode, sent // 4)))
         device.probe.listen(device.watchdog / 5)
     beat = device.fresh()
     if beat.state != DriveState.RUNNING:

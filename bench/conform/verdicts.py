@@ -22,6 +22,10 @@ class Failed(Ended):
     verdict = Verdict.FAIL
 
 
+class Hopeless(Failed):
+    """So much so that no other check can say anything."""
+
+
 class Unknown(Ended):
     """What would decide was not observed."""
 

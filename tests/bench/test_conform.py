@@ -42,9 +42,9 @@ LEVELS = (0, 1, STREAMS, STATES, MOTION, CAN)
 
 UNSEEN = {
     ("full", "bytes"): [],
-    ("own", "bytes"): ["motion.direction", "motion.never-clipped"],
+    ("own", "bytes"): ["motion.direction", "motion.undisturbed", "motion.starts-at-rest", "motion.never-clipped"],
     ("full", "CAN"): [],
-    ("own", "CAN"): ["motion.direction", "motion.never-clipped"],
+    ("own", "CAN"): ["motion.direction", "motion.undisturbed", "motion.starts-at-rest", "motion.never-clipped"],
 }
 
 

@@ -40,6 +40,9 @@ STOP_FRAME = -1
 class Carrier:
     """Messages over a port."""
 
+    whole = False
+    """Whether less than a frame of samples is never sent."""
+
     def __init__(self, port: Port | None = None) -> None:
         self.port = port
         self._waiting = bytearray()
@@ -152,6 +155,7 @@ class CanCarrier(Carrier):
     """Node 1 on a classic bus, chapter 16; the port's bytes are CAN_RECORDs."""
 
     assembler = Reassembler
+    whole = True
     for_everybody: tuple[int, ...] = (Type.HELLO,)
     """Types of what is answered at node 0."""
 
@@ -223,7 +227,8 @@ class CanCarrier(Carrier):
         for stream.decimation in range(asked, 65536):
             stream.block = 1 if stream.edges or len(groups) > 1 else stream.most_in(ROOM, pwm_hz)
             stream.load = self._load(stream, groups, pwm_hz)
-            if taken + stream.load <= MOST_LOAD:
+            stream.total = taken + stream.load
+            if stream.total <= MOST_LOAD:
                 break
         else:
             raise Refusal(Code.DOES_NOT_FIT, 0)

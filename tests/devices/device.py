@@ -302,7 +302,7 @@ class Device:
     def param_commit(self, message: Message, peer: Peer) -> bytes:
         if self.outputs_on:
             raise Refusal(Code.WRONG_STATE, self.state)
-        raise Refusal(Code.NOT_SUPPORTED, Type.PARAM_COMMIT)
+        raise Refusal(Code.NOT_SUPPORTED)
 
     # -- states -------------------------------------------------------------------------------------------------
 
@@ -344,9 +344,13 @@ class Device:
             raise Refusal(Code.WRONG_STATE, self.state)
         if self.state == State.ARMED:
             self.started_at = self.seconds
-            self.motor.setpoint = Mode.CURRENT, 0.0
+            self.motor.setpoint = self.at_start()
             self.enter(State.RUNNING)
         return self.state
+
+    def at_start(self) -> tuple[Mode, float]:
+        """The setpoint with which RUNNING begins."""
+        return Mode.CURRENT, 0.0
 
     def stop(self) -> State:
         self.motor.setpoint = None
@@ -443,7 +447,7 @@ class Device:
         self.carrier.plan(stream, others, self.pwm_hz, self.boot_id)
         self.streams[number] = stream
         return struct.pack(
-            "<BxHHHfBxxxQ", number, stream.cfg_id, stream.sample_bytes, stream.block, stream.load, stream.slot, 0
+            "<BxHHHfBxxxQ", number, stream.cfg_id, stream.sample_bytes, stream.block, stream.total, stream.slot, 0
         )
 
     def stream_start(self, message: Message, peer: Peer) -> bytes:
@@ -475,7 +479,7 @@ class Device:
 
     def flush(self, stream: Stream, everything: bool = False) -> None:
         """Send what is full or late; edges at once, so that they are ahead of the samples after them."""
-        for records in stream.take(self.tick(), everything or stream.edges):
+        for records in stream.take(self.tick(), everything or stream.edges, self.carrier.whole):
             if dropped := self.carrier.emit(stream, records, self.node):
                 self.dropped(stream, dropped)
             else:

@@ -199,6 +199,47 @@ def _fed_by_rejected(self: Device, reject: Callable[..., None], *given: Any) -> 
     self._fed_at = self.tick()
 
 
+def _late(seconds: float) -> dict[str, Callable[..., None]]:
+    """Every answer but that to HELLO waits for so long."""
+
+    def answer(self: Any, as_usual: Callable[..., None], request: Message, *rest: Any) -> None:
+        if request.type == Type.HELLO:
+            as_usual(request, *rest)
+        else:
+            self.later = [*getattr(self, "later", []), (self.seconds + seconds, as_usual, (request, *rest))]
+
+    def moment(self: Any, before: Callable[[], None]) -> None:
+        before()
+        due = [each for each in getattr(self, "later", []) if each[0] <= self.seconds]
+        self.later = [each for each in getattr(self, "later", []) if each not in due]
+        for _, send, given in due:
+            send(*given)
+
+    return {"answer": answer, "answer_again": answer, "moment": moment}
+
+
+def _mute(kind: Type) -> Callable[..., None]:
+    """Requests of this type are executed, and not answered."""
+
+    def answer(self: Device, as_usual: Callable[..., None], request: Message, *rest: Any) -> None:
+        if request.type != kind:
+            as_usual(request, *rest)
+
+    return answer
+
+
+def _stop_refused(*states: State, argument: int | None = None) -> Callable[..., bytes]:
+    """STOP is refused in these states, or with this argument only."""
+
+    def state_cmd(self: Device, as_usual: Callable[..., bytes], message: Message, peer: Peer) -> bytes:
+        given = int.from_bytes(message.payload[4:8], "little")
+        if message.payload[0] == Command.STOP and self.state in states and argument in (None, given):
+            raise Refusal(Code.WRONG_STATE, self.state)
+        return as_usual(message, peer)
+
+    return state_cmd
+
+
 def _answers_with(tid: Callable[[int], int]) -> Callable[..., None]:
     """Replies, but those to HELLO, have another tid than their request."""
 
@@ -233,6 +274,19 @@ fault(
     advance=_booting,
 )
 fault("deaf", "It hears nothing, and sends its heartbeats.", receive=lambda self, *_: None)
+for _ms in (140, 300, 700, 2000):
+    fault(f"late-{_ms}", f"Answers, but those to HELLO, come after {_ms} ms.", **_late(1e-3 * _ms))
+for _kind in (Type.TIME_SYNC, Type.BLOB_READ, Type.PARAM_GET, Type.PARAM_SET, Type.STATE_CMD, Type.STREAM_SET,
+              Type.STREAM_GET, Type.STREAM_START, Type.STREAM_STOP):  # fmt: skip
+    fault(f"mute-{_kind.name.lower().replace('_', '-')}", "Requests of this type get no answer.", answer=_mute(_kind))
+for _state in State:
+    fault(f"stop-refused-{_state.name.lower()}", "STOP is refused in this state.", state_cmd=_stop_refused(_state))
+fault("stop-refused-argument", "STOP is refused with an argument.",
+      state_cmd=_stop_refused(*State, argument=0xDEADBEEF))  # fmt: skip
+fault("hello-short", "The reply to HELLO lacks the serial number and what follows.",
+      hello=lambda self, hello, *given: hello(*given)[:68])  # fmt: skip
+fault("hello-long", "The reply to HELLO has more than this host knows.",
+      hello=lambda self, hello, *given: hello(*given) + b"more")  # fmt: skip
 fault("tid-zero", "Replies have tid 0.", answer=_answers_with(lambda tid: 0))
 fault("tid-other", "Replies have the next request's tid.", answer=_answers_with(lambda tid: tid % 0xFFFF + 1))
 

@@ -35,6 +35,8 @@ class Stream:
     """Most records in a frame; with slot and load filled in by the carrier."""
     slot: int = 0
     load: float = 0.0
+    total: float = 0.0
+    """With the load of all others."""
     running: bool = False
     seq: int = 0
     overrun: bool = False
@@ -54,7 +56,7 @@ class Stream:
         if event == Source.EDGES:
             if ids:
                 raise Refusal(Code.BAD_VALUE, len(ids))
-            return cls(number, event, 1, latency_ms, ())
+            return cls(number, event, decimation, latency_ms, ())
         if not decimation or not ids:
             raise Refusal(Code.BAD_VALUE, 0)
         for place, one in enumerate(ids):
@@ -106,8 +108,12 @@ class Stream:
         """Which periods of these are."""
         return index % self.decimation == 0
 
-    def take(self, now: int, everything: bool, tick_hz: int = 1_000_000) -> Iterator[list[Record]]:
-        """Blocks that are full or late at the tick `now`, or all."""
+    def take(self, now: int, everything: bool, whole: bool, tick_hz: int = 1_000_000) -> Iterator[list[Record]]:
+        """Blocks that are full or late at the tick `now`, or all; only full ones where they are to be `whole`."""
+        if whole:
+            while len(self.waiting) >= self.block:
+                yield [self.waiting.popleft() for _ in range(self.block)]
+            return
         late = now - self.latency_ms * tick_hz // 1000
         while self.waiting and (everything or len(self.waiting) >= self.block or self.waiting[0][1] <= late):
             yield [self.waiting.popleft() for _ in range(min(self.block, len(self.waiting)))]

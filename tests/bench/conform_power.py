@@ -1,0 +1,193 @@
+"""What `bench conform` finds of devices that break a sentence of SPEC: `python -m tests.bench.conform_power [NAME …]`.
+
+Each violation runs in a process of its own, in virtual time, on each of its links, at the level that has its checks,
+and at the highest where none of them fails: the device side in C with one change (tables/conform_mutants.toml) behind the
+simulated drive, and the device of tests/devices with one fault (tables/conform_faults.toml). The figures go to
+docs/conform/found.json, of which docs/make_conform.py makes the page; results are kept below .violations, so that a run
+that was interrupted goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import hashlib
+import json
+import multiprocessing
+import re
+import shutil
+import sys
+import tempfile
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+sys.path[:0] = [str(HERE), str(ROOT)]
+
+from conforming import ended, on_device, on_simulated  # noqa: E402 - a script's own folder
+from virtual_run import simulated  # noqa: E402
+
+from bench.conform.checks import TABLE  # noqa: E402
+from bench.conform.levels import CAN  # noqa: E402
+from bench.conform.run import Run  # noqa: E402
+from bench.signal.verdict import Verdict  # noqa: E402
+from protocol.device import compiled  # noqa: E402
+
+TABLES = HERE / "tables"
+KEPT = ROOT / ".violations"
+FOUND = ROOT / "docs" / "conform" / "found.json"
+SECONDS = 120.0  # that a violation may take
+SOURCES = ("bench/conform/*.py", "protocol/c/*.[ch]", "tests/devices/*.py", "tests/bench/conforming.py")
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A device that breaks a sentence of a chapter: the C device with texts replaced in `file`, or a fault by name."""
+
+    name: str
+    chapter: int
+    checks: tuple[str, ...]
+    """Of which one at least must fail."""
+    link: str
+    file: str = ""
+    changes: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def level(self) -> int:
+        """The lowest one that has its checks."""
+        return max(TABLE[check].needs for check in self.checks)
+
+    @property
+    def number(self) -> str:
+        """For a file."""
+        made = hashlib.sha256(repr(self).encode()).hexdigest()[:8]
+        return f"{re.sub(r'[^a-z0-9]+', '-', self.name.lower())[:40]}-{made}"
+
+
+def violations() -> list[Violation]:
+    """All of them, those in C first."""
+    return [*_in_c(), *_by_faults()]
+
+
+def _in_c() -> Iterator[Violation]:
+    for chapter, rows in tomllib.loads((TABLES / "conform_mutants.toml").read_text()).items():
+        for row in rows:
+            checks = (row["check"],) if isinstance(row["check"], str) else tuple(row["check"])
+            for each in row.get("each", ("",)):
+                changes = tuple((old, new.replace("{}", each) if each else new)
+                                for old, new in ((row["old"], row["new"]), *row.get("also", ())))  # fmt: skip
+                for link in row.get("on", ("bytes", "CAN")):
+                    name = row["name"].replace("{}", each)
+                    yield Violation(name, int(chapter), checks, link, row.get("file", "hbp.c"), changes)
+
+
+def _by_faults() -> Iterator[Violation]:
+    for kind, rows in tomllib.loads((TABLES / "conform_faults.toml").read_text()).items():
+        for name, check in rows.items():
+            chapter = int(TABLE[check].cites[0].partition(".")[0])
+            yield Violation(name, chapter, (check,), "CAN" if kind == "on_can" else "bytes")
+
+
+@cache
+def stamp() -> str:
+    """What results are of."""
+    digest = hashlib.sha256()
+    for file in sorted(file for place in SOURCES for file in ROOT.glob(place)):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def run_on(violation: Violation, level: int) -> Run:
+    """The run of a level's checks on the device that breaks this. NoCompiler where it cannot be compiled."""
+    if not violation.changes:
+        return on_device(level, [violation.name], carrier=violation.link)[0]
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder, "c")
+        shutil.copytree(compiled.SOURCE, source)
+        file = source / violation.file
+        text = file.read_text()
+        for old, new in violation.changes:
+            if text.count(old) != 1:
+                raise ValueError(f"{violation.name}: stands {text.count(old)} times in {violation.file}: {old}")
+            text = text.replace(old, new)
+        file.write_text(text)
+        with (
+            patch.object(compiled, "SOURCE", source),
+            patch.object(compiled, "FLAGS", compiled.FLAGS.replace("-O2", "-O0")),
+            patch.object(compiled, "user_cache_path", lambda *_, **__: Path(folder)),
+            patch.object(compiled, "library", cache(compiled.library.__wrapped__)),
+            patch("protocol.canmap.compiled.library", cache(compiled.library.__wrapped__)),
+        ):
+            return on_simulated(level, simulated(network=violation.link, compiled=True))
+
+
+def result_of(violation: Violation) -> dict[str, Any]:
+    """What `bench conform` said, from what is kept or from a run in a process of its own."""
+    file = KEPT / stamp() / f"{violation.number}.json"
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        child = multiprocessing.get_context("fork").Process(target=_write, args=(violation, file))
+        child.start()
+        child.join(SECONDS)
+        if child.is_alive():
+            child.kill()
+            child.join()
+        if not file.exists():
+            file.write_text(json.dumps({"failed": {}, "ended": f"exit code {child.exitcode}"}))
+    known: dict[str, Any] = json.loads(file.read_text())
+    return known
+
+
+def _write(violation: Violation, file: Path) -> None:
+    ctypes.CDLL(None).alarm(int(SECONDS))
+    try:
+        for level in (violation.level, CAN):
+            run = run_on(violation, level)
+            failed = {r.check.id: r.evidence for r in run.results if r.verdict is Verdict.FAIL}
+            found = {"failed": failed, "unknown": ended(run, Verdict.INVALID), "ended": run.ended or run.unsafe}
+            if set(violation.checks) & set(failed):
+                break
+    except Exception as error:
+        found = {"failed": {}, "ended": f"{type(error).__name__}: {error}"}
+    file.write_text(json.dumps(found))
+
+
+def word(violation: Violation, result: dict[str, Any]) -> str:
+    """How a violation ended: found, found by another check, or missed."""
+    if set(violation.checks) & set(result["failed"]):
+        return "found"
+    return "elsewhere" if result["failed"] else "missed"
+
+
+def main() -> int:
+    """Run what has no result yet, and write the figures where all have one; 1 if less than 95 % are found."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help="violations whose names have this in them")
+    names = parser.parse_args().names
+    every = violations()
+    chosen = [each for each in every if not names or any(name in each.name for name in names)]
+    rows = []
+    for k, each in enumerate(chosen, 1):
+        result = result_of(each)
+        how = word(each, result)
+        rows.append({"name": each.name, "chapter": each.chapter, "link": each.link, "in_c": bool(each.changes),
+                     "checks": each.checks, "how": how, "by": list(result["failed"])[:3]})  # fmt: skip
+        if how != "found":
+            others = "; ".join(f"{check}: {words[:150]}" for check, words in list(result["failed"].items())[:3])
+            print(f"{k} of {len(chosen)} {how}: {each.name} on {each.link}, chapter {each.chapter}, "
+                  f"by {' or '.join(each.checks)}; {others or result['ended']}", flush=True)  # fmt: skip
+    found = sum(row["how"] == "found" for row in rows)
+    print(f"{found} of {len(rows)} found ({100 * found / len(rows):.1f} %)")
+    if not names:
+        FOUND.write_text(json.dumps(rows, indent=0) + "\n")
+    return int(found < 0.95 * len(rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
