@@ -52,8 +52,8 @@ def claim(run: Run) -> Claim:
         conforms: bool | None = False
         these = f"{counted(len(failed), 'check')} failed: {', '.join(failed)}"
         words = f"does not conform to HBP {MAJOR}.{MINOR}: {these}; {passed} passed"
-    elif run.ended or level < 0:
-        conforms, words = (None, f"inconclusive: {run.ended or 'no check passed'}; {counted(passed, 'check')} passed")
+    elif why := run.ended or run.loses or ("no check passed" if level < 0 else ""):
+        conforms, words = None, f"inconclusive: {why}; {counted(passed, 'check')} passed"
     else:
         conforms = True
         on_can = ", on CAN" if _passed(run.results, CAN) and CAN not in missing else ""
@@ -90,7 +90,7 @@ def outcome(run: Run) -> RunOutcome:
     elif run.signal:
         verdict = Verdict.ABORTED
     else:
-        verdict = Verdict.INCOMPLETE if found.missing else Verdict.PASS
+        verdict = Verdict.INCOMPLETE if found.missing or run.loses else Verdict.PASS
     return RunOutcome.of(verdict, found.words, (*failed, *run.troubles), unsafe=run.unsafe, signum=run.signal)
 
 

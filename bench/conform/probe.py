@@ -45,6 +45,7 @@ TRIES = 3
 PATIENCE = 0.25  # s for which an answer is waited for, before the request is repeated
 HELD = 0.05  # s beyond what was asked for that one look at the link may take; else this program was held up
 HELLO_TRIES = 10
+LOOK_AT_LINK, REQUESTS, ENOUGH = 2.0, 300, 3  # s, requests, and lost ones, after which one knows what a link loses
 GRACE = 0.03  # s in which an answer that must not come would come, once a later request has been answered
 SLICE = 0.02  # s that one look at the link waits
 BEAT = 0.45  # s in which a heartbeat must come: four of them
@@ -288,6 +289,23 @@ class Probe:
         if answer.frame.is_error:
             raise Unknown(f"{request.TYPE.name} was refused: {answer}")
         return read(answer.frame, reply)
+
+    def loses(self) -> str:
+        """What the link loses of requests and answers, in words; empty if it seems to lose nothing.
+
+        A device that answers none of them is no such link.
+        """
+        damaged, asked, lost = self.line.damaged, 0, 0
+        end = self.now() + LOOK_AT_LINK
+        while asked < REQUESTS and self.now() < end and lost < ENOUGH:
+            asked += 1
+            try:
+                self.ask(MessageType.TIME_SYNC, tries=1)
+            except NoAnswer:
+                lost += 1
+        if damaged := self.line.damaged - damaged:
+            return f"{damaged} of some {asked} frames came damaged"
+        return f"{lost} of {asked} requests, or their answers, were lost" if 0 < lost < asked else ""
 
     def silence(self, wire: bytes, what: str) -> str:
         """Write what must not be answered, and a request that must be; evidence in words. Raises Failed."""

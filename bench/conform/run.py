@@ -62,6 +62,8 @@ class Run:
     results: list[Result] = field(default_factory=list)
     unsafe: str = ""
     ended: str = ""
+    loses: str = ""
+    """What the link loses, if it does: then no failure is the device's."""
     signal: int = 0
     troubles: list[str] = field(default_factory=list)
 
@@ -204,9 +206,24 @@ class _Course:
             if attempt == ATTEMPTS:
                 verdict = Verdict.INVALID
                 evidence = f"this program was held up for {held:.2f} s, at the last of {ATTEMPTS} attempts; {evidence}"
-        if check.critical and verdict is Verdict.FAIL:
-            self._forbidden = self._forbidden or f"{check.id} failed"
+        if verdict is Verdict.FAIL:
+            self._forbidden = self._forbidden or (f"{check.id} failed" if check.critical else "")
+            verdict, evidence = self._doubted(check, evidence)
         return Result(check, verdict, evidence, probe.now() - began)
+
+    def _doubted(self, check: Check, evidence: str) -> tuple[Verdict, str]:
+        """A failure, unless the link may be the cause: it loses frames, or all goes well at the second attempt."""
+        self._run.loses = self._run.loses or self._device.probe.loses()
+        if self._run.loses:
+            self._device.probe.mute.clear()
+            return Verdict.INVALID, f"the link may be the cause ({self._run.loses}): {evidence}"
+        if check.critical:  # nothing is energised any more
+            return Verdict.FAIL, evidence
+        self._device.kept.clear()
+        again, other = self._attempt(check)
+        if again is Verdict.FAIL:
+            return Verdict.FAIL, evidence
+        return Verdict.INVALID, f"only at the first of two attempts: {evidence}; then {other}"
 
     def _attempt(self, check: Check) -> tuple[Verdict, str]:
         """Make the check once, and leave the device at rest. Raises NoAnswer, LinkError."""

@@ -215,7 +215,8 @@ class LiveRun:
             options.save, {"note": options.note} if options.note else {}, options.viewer, options.overwrite,
             options.web_port, Stored(options.keep, options.split), self._sector(),
         )  # fmt: skip
-        outputs = rig.record_to(recording, [_ScreenNotes(self.screen), self._gathered], added)
+        sinks: list[Sink] = [_ScreenNotes(self.screen), self._stats.dates, self._gathered]
+        outputs = rig.record_to(recording, sinks, added)
         if outputs.view is not None:
             self.screen.note(f"dashboard: {outputs.view.url}")
         if augmenter is not None:

@@ -25,13 +25,45 @@ from bench.view.schema import label
 from protocol.codes import fault_names
 from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import Fault, Heartbeat, HelloReply
-from protocol.streams import EdgeChunk, SampleChunk
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from protocol.text import counted
 
 PAUSE = WATCHDOG  # s in which this program did not run, from which on a summary says so
 
 
 MISDATED = 0.1  # s by which all samples are off the heartbeats around them, beyond which their time is wrong
+
+
+class Dates:
+    """Sink that compares the ticks of a drive's samples with its heartbeats; it needs each as it comes."""
+
+    def __init__(self, drive: int) -> None:
+        self._drive = drive
+        self._newest: SampleChunk | None = None  # since the heartbeat before
+        self._ages: list[int] = []  # ticks from the newest sample to each heartbeat: least and most
+        self._step = 0  # ticks between samples
+
+    def take(self, item: Heard) -> None:
+        """Look at samples and heartbeats of the drive."""
+        match item:
+            case SampleChunk(config=StreamConfig(node=self._drive) as config):
+                self._newest, self._step = item, config.index_step * config.tick_hz // config.pwm_hz
+            case HeartbeatReceived(node=self._drive, heartbeat=heartbeat) if self._newest is not None:
+                age = heartbeat.tick - int(self._newest.tick[-1])
+                self._ages = [min(age, *self._ages), max(age, *self._ages)] if self._ages else [age, age]
+                self._newest = None
+
+    def wrong(self, tick_hz: int) -> str:
+        """How far samples are dated wrongly by the drive's own clock; '' if they are not."""
+        least, most = (age / tick_hz for age in self._ages or (0, 0))
+        allowed = MISDATED + self._step / tick_hz
+        if most >= -allowed and least <= allowed:
+            return ""
+        off, where = (least, "past") if least > allowed else (-most, "future")
+        return (
+            f"samples are dated {off:.2g} s in the {where} by the drive's own clock: tick0 or pwm_hz is not what it "
+            "says, or not every PWM period is one of its samples'"
+        )
 
 
 class RunStatistics:
@@ -54,8 +86,7 @@ class RunStatistics:
         """What the drive dated as it cannot be."""
         self.mean: dict[str, float] = {}  # over the last chunk
         self._observers = observers
-        self._newest = 0  # tick of the newest sample since the heartbeat before, 0: none came
-        self._ages: list[int] = []  # ticks from there to each heartbeat: least and most
+        self.dates = Dates(drive)
 
     def take(self, item: Heard) -> None:
         """Count; follow the drive's own counts and its faults."""
@@ -76,7 +107,6 @@ class RunStatistics:
     def _samples(self, chunk: SampleChunk) -> None:
         """Count, and add position errors of the samples taken while the drive was running."""
         self.samples_seen += len(chunk)
-        self._newest = int(chunk.tick[-1])
         if self.first_sample_unix is None:
             self.first_sample_unix = time.time()
         errors = position_errors(chunk)
@@ -94,24 +124,13 @@ class RunStatistics:
     def _heartbeat(self, heartbeat: Heartbeat) -> None:
         self.device.add(heartbeat)
         self.faults |= heartbeat.faults  # its event may have been lost with the link
-        if self._newest:
-            age = heartbeat.tick - self._newest
-            self._ages = [min(age, *self._ages), max(age, *self._ages)] if self._ages else [age, age]
-            self._newest = 0
 
     def misdated(self, tick_hz: int) -> str:
         """What is wrong with the times that the drive tells; '' if nothing is."""
         if self.wrong_times:
             more = len(self.wrong_times) - 1
             return self.wrong_times[0] + (f", and {more} more" if more else "")
-        least, most = (age / tick_hz for age in self._ages or (0, 0))
-        if most >= -MISDATED and least <= MISDATED:
-            return ""
-        off, where = (least, "past") if least > MISDATED else (-most, "future")
-        return (
-            f"samples are dated {off:.2g} s in the {where} by the drive's own clock: tick0 or pwm_hz is not what it "
-            "says, or not every PWM period is one of its samples'"
-        )
+        return self.dates.wrong(tick_hz)
 
 
 class CpuMeter:

@@ -444,8 +444,13 @@ def test_samples_that_are_not_of_now_are_implausible(fault: str, words: str) -> 
     assert re.match(
         rf"implausible: samples are dated 0\.\d+ s in the {words} by the drive's own clock: tick0", ended.summary.result
     )
-    with serving(FULL, carrier="bytes") as device:
-        assert run(device.link, speed_rpm=None, duration=1.0).summary.result == "ok"
+
+
+@pytest.mark.parametrize("faults", [(), ("heartbeats-slow",)])
+@pytest.mark.parametrize("link", ["bytes", "CAN"])
+def test_samples_of_now_are_not_misdated_however_seldom_heartbeats_come(faults: tuple[str, ...], link: str) -> None:
+    with serving(FULL, faults, carrier=link, pwm_hz=250) as device:
+        assert run(device.link, speed_rpm=None, duration=1.5).summary.result == "ok"
 
 
 def test_a_drive_without_a_heartbeat_is_not_ok() -> None:

@@ -70,8 +70,9 @@ class Case:
 def draw(seed: int) -> Case:
     """A case: half of the devices are sound, and a third of the links."""
     dice = random.Random(f"broken {seed}")
-    faults = tuple(dice.sample(sorted(FAULTS), dice.choice((0, 0, 0, 1, 1, 2))))
     link = dice.choice(("bytes", "CAN"))
+    possible = sorted(fault for fault in FAULTS if link == "CAN" or not fault.startswith(("can-", "foreign-")))
+    faults = tuple(dice.sample(possible, dice.choice((0, 0, 0, 1, 1, 2))))
     return Case(dice.choice(sorted(ALL)), faults, drawn(dice), link, dice.random() < 0.1, dice.choice((250, 500, 1000)))
 
 
