@@ -9,6 +9,8 @@ from __future__ import annotations
 import itertools
 import os
 
+import numpy as np
+
 from protocol.canmap.frame import CAN_RECORD
 from protocol.canmap.host import CanWire
 from protocol.links.base import MAX_READ
@@ -80,6 +82,10 @@ class VirtualLink:
         size = MAX_READ // CAN_RECORD.itemsize * CAN_RECORD.itemsize
         data = bytes(self.port.to_host[:size])
         del self.port.to_host[:size]
+        if self._can:
+            records = np.frombuffer(data, CAN_RECORD).copy()
+            records["time"] = self._now
+            data = records.tobytes()
         return data
 
     def idle(self, seconds: float) -> None:
