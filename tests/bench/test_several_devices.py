@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 
 import pytest
@@ -77,6 +78,27 @@ def test_a_reboot_is_a_reboot(command: str, carrier: str, capsys: pytest.Capture
     assert "the drive has rebooted" in ran.text
     assert "two devices" not in ran.text
     assert not device.outputs_on
+
+
+@pytest.mark.parametrize("carrier", ["bytes", "CAN"])
+@pytest.mark.parametrize("command", ["spin", "watch", "accept"])
+@pytest.mark.parametrize("changing", [False, True])
+def test_a_device_whose_hello_has_another_boot_id_is_one_device(
+    changing: bool, command: str, carrier: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A mistake of the firmware: HELLO says 5, or another one each time; heartbeats say what is so."""
+    with serving("full", [], carrier) as device:
+        told, count = device.hello_fields, itertools.count(5)
+        odd = lambda rx_max: told(rx_max) | {"boot_id": next(count) if changing else 5}  # noqa: E731
+        device.hello_fields = odd  # type: ignore[method-assign]
+        ran = bench(COMMANDS[command].replace("0.4", "2"), device, capsys)
+    assert "two devices" not in ran.text
+    assert not device.seen["ARM"]
+    assert ran.code == 2
+    assert re.search(
+        r"boot_id is [0-9a-f]{8} in its HELLO and [0-9a-f]{8} in its heartbeats: fix the firmware", ran.text
+    )
+    assert "reboot" not in ran.text
 
 
 @pytest.mark.parametrize("carrier", ["bytes", "CAN"])
