@@ -272,6 +272,7 @@ class Node:
             self.forget()  # it may have rebooted since
             boot_id, now = self.identity.boot_id, self.next_heartbeat()
             if now is not None and now.boot_id != boot_id:
+                self.client.listen(self.number)
                 said = f"boot_id is {boot_id:08x} in its HELLO and {now.boot_id:08x} in its heartbeats"
                 raise DeviceDefect(f"node {self.number}: {said}")
 
@@ -382,6 +383,10 @@ class Node:
                 if not answered():
                     return
                 confirmed = self.client.heartbeats[self.number]
+                if confirmed.boot_id != self.identity.boot_id:  # it has rebooted, or is another device
+                    self.stop()
+                    self.client.listen(self.number)
+                    raise DriveFailed(f"node {self.number} has rebooted")
                 if confirmed.setpoint_counter == counter:
                     return
                 if self._vigil is not None and (why := self._vigil.not_running(confirmed)):

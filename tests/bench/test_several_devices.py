@@ -53,20 +53,21 @@ def test_they_are_named_as_far_as_they_tell(
     assert re.search(named, ran.text), ran.text
 
 
-JOINING = [(carrier, joins) for carrier in ("bytes", "CAN") for joins in (0.6, 1.0, 1.37, 2.0)]
+JOINING = [(carrier, round(0.1 + 0.05 * k, 2)) for carrier in ("bytes", "CAN") for k in range(40)]
 
 
-@pytest.mark.parametrize(("carrier", "joins"), sampled("joining", JOINING, 3, campaign="links"))
+@pytest.mark.parametrize(("carrier", "joins"), sampled("joining", JOINING, 4, campaign="links"))
 def test_one_that_joins_a_run_stops_it(carrier: str, joins: float, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also before it is armed, between ARM and START, and before the first setpoint is confirmed."""
     with twins(carrier, "LEFT-1", "RIGHT-2", joins=joins) as devices:
         ran = bench(LONGER, devices[0], capsys)
         ended = devices[0].link.clock()
-    assert ran.code == 1, ran.text
-    assert re.search(f"result +{NAMED}", ran.text), ran.text
+    assert ran.code in (1, 2), ran.text
+    assert re.search(NAMED, ran.text), ran.text
     assert "reboot" not in ran.text.replace("link, reboots", "")
     assert ended - joins < 1.5
     assert [device.state for device in devices] == [State.IDLE] * 2  # by STOP: neither has tripped
-    assert devices[0].seen["STOP"]
+    assert devices[0].seen["STOP"] or not devices[0].seen["ARM"]
 
 
 @pytest.mark.parametrize("carrier", ["bytes", "CAN"])
