@@ -43,7 +43,7 @@ _ECHOED = ("nonce", "id", "offset", "stream")  # fields of requests that come ba
 HELLO_INTERVALS = (0.1, 0.2, 0.4, 0.8, 1.0)  # s between HELLOs; the last one goes on
 AGAIN = 0.25  # s between HELLOs, at most, while something is heard: a device that has just booted is asked soon
 IN_TURN = 2.0  # s in which boot_ids that come in turn are those of several devices: a device boots no faster
-RETURNS = 3  # of them to a boot_id that was there before; a single one may be a frame that was late
+RETURNS = 3  # of heartbeats to a boot_id that was there before; a single one may have been late
 
 
 class Connected(NamedTuple):
@@ -180,7 +180,7 @@ class HostSession:
         """Requests that came back: those of this host, or another one's."""
         self.round_trip = 0.0  # s, smoothed
         self._boot_ids: dict[int, int] = {}
-        self._changes: dict[int, list[tuple[float, int]]] = {}  # by node, when which boot_id was followed by another
+        self._beats: dict[int, list[tuple[float, int]]] = {}  # by node, when heartbeats began to have which boot_id
         self._several: dict[int, frozenset[int]] = {}
         self._hello: _Pending | None = None  # the last one, answered or not
         self._references: dict[int, TickReference] = {}
@@ -320,7 +320,7 @@ class HostSession:
 
     def _receive_unsolicited(self, node: int, message: Message, now: float) -> None:
         if isinstance(message, Heartbeat):
-            self._note_boot(node, message.boot_id, now)
+            self._note_beat(node, message.boot_id, now)
             tick = self.tick_reference(node).hear(message.tick, "a heartbeat")
             self._events.append(HeartbeatReceived(node, replace(message, tick=tick)))
         elif isinstance(message, DeviceEvent):
@@ -332,7 +332,7 @@ class HostSession:
     def _receive_reply(self, frame: Frame, now: float) -> None:
         pending = self._pending
         if frame.type == MessageType.HELLO and not frame.is_error:
-            self._note_hello(frame, now)
+            self._note_hello(frame)
         if pending is None or frame.tid != pending.frame.tid or frame.type != pending.message.TYPE:
             self.counters.unexpected_replies += 1
             return
@@ -379,7 +379,7 @@ class HostSession:
         self._pending = None
         self._events.append(ReplyUnusable(frame.tid, frame.node, error))
 
-    def _note_hello(self, frame: Frame, now: float) -> None:
+    def _note_hello(self, frame: Frame) -> None:
         """A HELLO reply, asked for or the second one: who is there, and whether that is one device."""
         asked = self._hello
         try:
@@ -396,23 +396,26 @@ class HostSession:
             self._tell_several(frame.node, {first.boot_id, reply.boot_id}, 0)
         elif any(each.boot_id == reply.boot_id and each.serial != reply.serial for each in said):
             self._tell_several(frame.node, {reply.boot_id}, 0)  # nobody changes that
-        self._note_boot(frame.node, reply.boot_id, now)
+        self._note_boot(frame.node, reply.boot_id)
 
-    def _note_boot(self, node: int, boot_id: int, now: float) -> None:
+    def _note_boot(self, node: int, boot_id: int) -> None:
         old = self._boot_ids.setdefault(node, boot_id)
-        if old == boot_id or node in self._several:
-            return
-        self._boot_ids[node] = boot_id
-        changes = [each for each in self._changes.get(node, ()) if now - each[0] < IN_TURN] + [(now, old)]
-        self._changes[node] = changes
-        followed = [each for _, each in changes]
-        returns = sum(each in followed[:k] for k, each in enumerate([*followed[1:], boot_id], 1))
-        if returns >= RETURNS:
-            self._tell_several(node, {*followed, boot_id}, len(changes) - 1)
-            return
-        self.wire.forget(node)
-        self.tick_reference(node).restart()
-        self._events.append(Rebooted(node, old, boot_id))
+        if old != boot_id and node not in self._several:
+            self._boot_ids[node] = boot_id
+            self.wire.forget(node)
+            self.tick_reference(node).restart()
+            self._events.append(Rebooted(node, old, boot_id))
+
+    def _note_beat(self, node: int, boot_id: int, now: float) -> None:
+        """A heartbeat's boot_id: where those of more than one boot come back and back, they are of several devices."""
+        beats = [each for each in self._beats.get(node, ()) if now - each[0] < IN_TURN]
+        if not beats or beats[-1][1] != boot_id:
+            self._beats[node] = beats = [*beats, (now, boot_id)]
+        boots = [each for _, each in beats]
+        back = [each for k, each in enumerate(boots) if each in boots[:k]]
+        if len(back) >= RETURNS and len(set(back)) > 1:
+            self._tell_several(node, set(boots), len(boots) - 2)
+        self._note_boot(node, boot_id)
 
     def _tell_several(self, node: int, boot_ids: set[int], reboots: int) -> None:
         known = self._several.get(node, frozenset())

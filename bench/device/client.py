@@ -235,8 +235,12 @@ class Client:
         began = self._listened = self.now() + wire.delay
         pending = self._pending = _Pending(self.session.connect(self.nonce(), self.now(), delay=wire.delay))
 
+        def several() -> list[int]:
+            """Of the nodes as which several devices answer, the one that is asked; at a byte link it may be any."""
+            return [node for node in self.several if node == getattr(wire, "node", node)]
+
         def answered() -> bool:
-            return self.hello is not before or pending.error is not None or bool(self.several)
+            return self.hello is not before or pending.error is not None or bool(several())
 
         self.wait(lambda: answered() or bool(self.session.heard), began + patience - self.now())
         late = self.now() + ANSWER if self.session.heard else 0.0
@@ -244,7 +248,7 @@ class Client:
         self._pending = None
         if self.hello is not before:
             self.run_for(SECOND + 2 * self.session.round_trip)
-        for node in self.several:
+        for node in several():
             self.require_alone(node)
         if pending.error is not None:
             raise pending.error
@@ -309,9 +313,7 @@ class Client:
             self._lost(error)
             return
         self._must_open = False
-        self.session.connect(
-            self.nonce(), now, delay=self.session.wire.delay
-        )  # the outage lasts until the drive answers
+        self.session.connect(self.nonce(), now, delay=self.session.wire.delay)  # until it answers the outage lasts
 
     @property
     def downtime(self) -> float:

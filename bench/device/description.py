@@ -49,14 +49,15 @@ def inspect_link(target: str) -> dict[str, Any]:
         missing = sorted(announced - numbers)
         words = f"node {hello.node} announces {hello.nodes} nodes, of which {_spans(missing)} did not answer"
         nodes, unread = [], dict.fromkeys(missing, words)
+        client.listen(hello.node)
         for number in sorted(numbers):
             try:
+                client.require_alone(number)
                 nodes.append(inspect_node(first if number == hello.node else Node(client, number)))
             except (NoReply, Refused, RemoteProtocolError, NodeError) as error:
                 if number == hello.node:
                     raise
                 unread[number] = str(error)
-        client.listen(hello.node)
         bus = inspect_bus(client, first)
         found: dict[str, Any] = finite({"target": target, "nodes": nodes, "unread": unread, "bus": bus})
         return found

@@ -26,7 +26,7 @@ from protocol.canmap.layout import EDGES_PER_SECOND, edge_load
 from protocol.canmap.plan import BusPlan
 from protocol.codes import fault_names
 from protocol.descriptor import Channel, Descriptor
-from protocol.errors import HbpError, NoReply, Refused
+from protocol.errors import DeviceDefect, HbpError, NoReply, Refused
 from protocol.framing import MAX_PAYLOAD
 from protocol.messages import (
     BlobRead,
@@ -263,10 +263,18 @@ class Node:
         if late() and not self.client.wait(lambda: not late(), 2 * HEARTBEATS):
             why = "it sends no heartbeat (one every 100 ms is due), so nobody could see its outputs go off"
             raise NodeError(f"refusing to energise node {number} on {self.client.link.name}: {why}; nothing was armed")
-        if self.client.heartbeats[number].boot_id != self.identity.boot_id:
-            raise NodeError(
-                f"refusing to energise node {number}: it has rebooted since it was asked; nothing was armed"
-            )
+        self.require_boot()
+
+    def require_boot(self) -> None:
+        """Have HELLO and heartbeats of the same boot. Raises DeviceDefect if the firmware tells two boot_ids."""
+        told = self.client.heartbeats.get(self.number)
+        if told is not None and told.boot_id != self.identity.boot_id:
+            self.forget()  # it may have rebooted since
+            boot_id, now = self.identity.boot_id, self.next_heartbeat()
+            if now is not None and now.boot_id != boot_id:
+                self.client.listen(self.number)
+                said = f"boot_id is {boot_id:08x} in its HELLO and {now.boot_id:08x} in its heartbeats"
+                raise DeviceDefect(f"node {self.number}: {said}")
 
     def _says_now(self) -> str:
         """What its heartbeats say, in words; that none came, where that is so."""
@@ -375,6 +383,10 @@ class Node:
                 if not answered():
                     return
                 confirmed = self.client.heartbeats[self.number]
+                if confirmed.boot_id != self.identity.boot_id:  # it has rebooted, or is another device
+                    self.stop()
+                    self.client.listen(self.number)
+                    raise DriveFailed(f"node {self.number} has rebooted")
                 if confirmed.setpoint_counter == counter:
                     return
                 if self._vigil is not None and (why := self._vigil.not_running(confirmed)):

@@ -123,6 +123,8 @@ class LiveRun:
                 load, current = f"load {envelope.load:g} A", f"the {envelope.current:g} A that the motor may get"
                 raise BenchError(f"{load} is beyond {current}: --current, or [rated] current in bench.toml")
             require_consent(self.node, self.target, envelope, options.yes, confirm)
+            for machine in self.rig.machines:
+                machine.node.client.listen(machine.node.number)
         if options.clear_faults:
             self.node.clear_faults()
 

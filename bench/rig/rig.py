@@ -174,6 +174,7 @@ class Rig:
         """Begin to use the drive, if it is free: see `require_rest`. Streams that somebody has left are stopped."""
         self.client.require_alone(self.drive.node.number)
         self.require_rest(or_fault)
+        self.drive.node.require_boot()
         self._taken = True
         self.drive.node.stop_streams()
 

@@ -9,12 +9,14 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import pytest
 from against import ACCEPT, HALL, SPIN, bench
 from virtual_run import run
 
 from bench.device.node import Node
+from protocol.errors import LinkClosed
 from tests.choice import sampled
 from tests.devices import FULL, serving
 from tests.devices.device import Device
@@ -76,6 +78,43 @@ class Dead(Deaf):
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         data = self._read(timeout, settle)
         return b"" if self.now else data
+
+
+class Gone(Trouble):
+    """The link itself is lost, and comes back."""
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.link.reopen = self.reopen
+
+    def require(self) -> None:
+        if self.now:
+            raise LinkClosed("it is gone")
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        self.require()
+        return self._read(timeout, settle)
+
+    def write(self, data: bytes) -> None:
+        self.require()
+        self._write(data)
+
+    def reopen(self) -> None:
+        self.link.idle(0.01)
+        self.link.port.to_host.clear()
+        self.require()
+
+
+@pytest.mark.parametrize("carrier", ["bytes", "CAN"])
+@pytest.mark.parametrize("seconds", [0.3, 0.7, 3.0])
+def test_an_outage_is_the_cause(seconds: float, carrier: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.device.client.REOPEN_PERIOD", 0.0)
+    with serving(QUICK, [], carrier) as device:
+        Gone(device, State.RUNNING, seconds, 0.2)
+        ended = run(device.link, yes=True, duration=5.0)
+        assert not device.outputs_on
+    said = re.search(r"WATCHDOG: this host sent no ALIVE .*, because \S+ was gone for (\d\.\d\d) s", ended.words)
+    assert said and abs(float(said[1]) - seconds) < SEEN, ended.words  # noqa: PT018
 
 
 KINDS: dict[str, tuple[type[Trouble], str]] = {

@@ -23,6 +23,7 @@ from protocol.host import (
     ReplyUnusable,
     RequestRefused,
     RequestTimedOut,
+    SeveralDevices,
 )
 from protocol.messages import (
     Alive,
@@ -307,6 +308,74 @@ def test_a_reboot_shows_in_hello_and_in_the_heartbeat(host: HostSession) -> None
     beat = small_link(boot_id=9)[1].heartbeat()
     host.receive_data(unasked(0x04, beat.pack()) * 2, 2.0)
     assert [event for event in events(host) if isinstance(event, Rebooted)] == [Rebooted(1, 8, 9)]
+
+
+def boots(host: HostSession, boot_ids: str, period: float) -> list[str]:
+    """Hear a heartbeat of each of these boots, `period` s apart; what the session makes of that, by its letters."""
+    told = []
+    for k, letter in enumerate(boot_ids):
+        beat = small_link(boot_id=ord(letter))[1].heartbeat()
+        host.receive_data(unasked(0x04, beat.pack()), 1.0 + k * period)
+        for event in events(host):
+            if isinstance(event, Rebooted):
+                told.append(f"{chr(event.old)}>{chr(event.new)}")
+            elif isinstance(event, SeveralDevices):
+                told.append("+".join(sorted(map(chr, event.boot_ids))))
+    return told
+
+
+@pytest.mark.parametrize(
+    ("boot_ids", "period", "told"),
+    [
+        ("AAABBB", 0.1, ["A>B"]),
+        ("AABABBB", 0.05, ["A>B", "B>A", "A>B"]),  # one heartbeat was late
+        ("ABABABAB", 0.05, ["A>B", "B>A", "A>B", "A+B"]),
+        ("AABBAABBAABB", 0.05, ["A>B", "B>A", "A>B", "A+B"]),
+        ("ABCABCABC", 0.03, ["A>B", "B>C", "C>A", "A>B", "A+B+C"]),
+        (
+            "ABABAB",
+            1.0,
+            ["A>B", "B>A", "A>B", "B>A", "A>B"],
+        ),  # boots every second, by a counter of one bit
+        ("ABCDEFG", 0.1, ["A>B", "B>C", "C>D", "D>E", "E>F", "F>G"]),
+    ],
+)
+def test_boot_ids_in_turn_are_several_devices(boot_ids: str, period: float, told: list[str]) -> None:
+    assert boots(HostSession(), "".join(boot_ids), period) == told
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02, 5.0])
+def test_two_answers_to_one_hello_are_two_devices(late: float) -> None:
+    host = greeted(hello_reply(5, boot_id=7))
+    host.receive_data(reply(1, 1, hello_reply(5, boot_id=7)) + reply(1, 1, hello_reply(6, boot_id=8)), 0.02)
+    assert not any(isinstance(event, SeveralDevices) for event in events(host))  # the same, and another host's
+    host.receive_data(reply(1, 1, hello_reply(5, boot_id=8)), 0.02 + late)
+    assert SeveralDevices(1, frozenset({7, 8}), 0) in events(host)
+    assert [said.boot_id for said in host.devices[1]] == [7, 8]
+
+
+def test_an_answer_to_the_first_hello_and_one_to_the_next_may_be_a_reboot() -> None:
+    host = HostSession()
+    host.connect(5, 0.0)
+    host.tick(0.1)
+    host.receive_data(b"\0" + reply(1, 1, hello_reply(5, boot_id=7)), 0.11)
+    host.receive_data(reply(1, 1, hello_reply(5, boot_id=8)), 0.12)
+    told = [event for event in events(host) if isinstance(event, Rebooted | SeveralDevices)]
+    assert told == [Rebooted(1, 7, 8)]
+
+
+def test_while_something_is_heard_hello_is_repeated_soon() -> None:
+    host = HostSession()
+    host.connect(5, 0.0, delay=0.5)
+    assert sent(host) == []
+    times = []
+    for k in range(500):  # 10 ms
+        now = k * 0.01
+        if k >= 400 and k % 10 == 0:
+            host.receive_data(b"\0" + unasked(0x04, small_link()[1].heartbeat().pack()), now)
+        host.tick(now)
+        times += [round(now, 2)] * len(sent(host))
+    assert times == pytest.approx([0.5, 0.6, 0.8, 1.2, 2.0, 3.0, 4.0, 4.25, 4.5, 4.75], abs=0.025)
 
 
 def test_hello_to_a_second_node_is_a_plain_request(host: HostSession) -> None:
