@@ -166,7 +166,7 @@ def test_what_is_seen_ends_with_stop_where_no_channel_tells_the_state() -> None:
 
 @pytest.mark.parametrize("config", [{}, {"encoder__present": 0}], ids=["encoder", "no encoder"])
 @pytest.mark.parametrize("rpm", [120.0, -1500.0])
-def test_a_check_names_exchanged_codes_and_accuses_no_sensor(tmp_path: Path, config: dict[str, int], rpm: float) -> None:
+def test_a_check_names_exchanged_codes(tmp_path: Path, config: dict[str, int], rpm: float) -> None:
     run(WatchedLink(_exchanged(simulated(**config))), save=tmp_path / "a.run", speed_rpm=rpm, duration=3.0)
     health = bench.hall(tmp_path / "a.run")
     assert [finding.code for finding in health.findings] == ["edge_records"]
