@@ -25,7 +25,9 @@ from bench.accept.results import Measurement, RunResult, SpecUse, Verdict, gaps,
 from bench.accept.session import LIMITS_ELSEWHERE
 from bench.errors import BenchError
 from bench.rig.connection import SIM, target_of
-from bench.rig.settings import read_settings
+from bench.rig.ratings import TOLD_BY
+from bench.rig.settings import read_settings, write_rated
+from bench.signal.limits import RATED_CURRENT, RATED_SPEED, UNITS
 from bench.signal.verdict import WORDS
 from protocol.text import counted
 
@@ -35,6 +37,9 @@ WITHOUT = ("terminal", "cacheprovider", "unraisableexception")
 """Plug-ins of pytest: the teller speaks, nothing is kept, and what Python drops may be a Ctrl-C (`none_dropped`)."""
 SAME_NAME = ("target", "report", "json", "config", "operator", "motor", "spec", "seed")
 """Fields of AcceptOptions that are options of the plug-in, with `--bench-` before them."""
+RATED = {"speed_rpm": ("rated-speed", "RPM"), "current": ("rated-current", "A")}
+"""Options that say what the motor is rated for, by keys of [rated]."""
+WHICH = {RATED_SPEED: "mechanical", RATED_CURRENT: "peak"}
 MOST_NAMES = 4  # of measurements, in the lines at the end
 MOST_BAD = 8  # measurements of a test that are told one by one
 
@@ -62,6 +67,9 @@ class AcceptOptions:
     yes: bool = False
     allow_skipped: bool = False
     list_only: bool = False
+    rated_speed: float | None = None
+    rated_current: float | None = None
+    """What the motor is rated for, r/min and A: written to bench.toml."""
 
 
 class _Teller:
@@ -151,6 +159,7 @@ def accept(options: AcceptOptions, screen: Screen) -> tuple[RunResult | None, in
     for path in options.tests:
         if not path.exists():
             raise BenchError(f"no tests at {path}")
+    write_rated(options.bench_toml, {"speed_rpm": options.rated_speed, "current": options.rated_current})
     target = target_of(options.target, read_settings(options.bench_toml))
     if options.jobs > 1 and target != SIM:
         raise BenchError(f"{target} cannot be tested by {options.jobs} processes at once: leave out --jobs")
@@ -232,6 +241,7 @@ def closing_lines(run: RunResult) -> list[str]:
         nothing = all(test.verdict is Verdict.SKIPPED for test in run.tests)
         passed = "all that was tested passed; --allow-skipped makes that a PASS"
         lines.append("nothing was tested" if nothing else passed)
+    lines += _rated_lines(run)
     if LIMITS_ELSEWHERE in run.rig:
         lines.append(f"bench.toml has limits for tests that are not in this run, {run.rig[LIMITS_ELSEWHERE]}")
     if run.spec is not None:
@@ -239,6 +249,24 @@ def closing_lines(run: RunResult) -> list[str]:
     if run.error and run.error != run.unsafe:
         lines.append(f"error: {run.error}")
     return lines
+
+
+def _rated_lines(run: RunResult) -> list[str]:
+    """What bench.toml lacks of what the motor is rated for, ready to be filled in and pasted."""
+    skipped = " ".join(gap.why for gap in gaps(run.tests))
+    lacking = [key for _, key in TOLD_BY.values() if f"[rated] {key} in bench.toml" in skipped]
+    if not lacking:
+        return []
+    options = " ".join(f"--{name} {form}" for key, (name, form) in RATED.items() if key in lacking)
+    return [
+        f"what the motor is rated for is not told: {options} says it, and writes it to bench.toml; or write there",
+        "    [rated]",
+        *(
+            f"    {key} =    # {UNITS[what]}, {WHICH[what]}, by the motor's data sheet"
+            for what, (_, key) in TOLD_BY.items()
+            if key in lacking
+        ),
+    ]
 
 
 def _spec_lines(use: SpecUse, failed: int) -> list[str]:

@@ -5,6 +5,7 @@ Loaded by every pytest of the environment: it imports nothing heavy.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -89,20 +90,25 @@ class _Asked:
     current: float | None
     rated_speed: float | None
     rated_current: float | None
+    unrated_rpm: float | None = None
 
     def within(self, ratings: Ratings) -> Envelope:
         """The same for a drive with these ratings; nothing where one is needed that nobody has told."""
-        rpm, current = self.rpm, self.current
+        rpm, current, without = self.rpm, self.current, self.unrated_rpm
         if self.rated_speed is not None:
-            rpm = self.rated_speed * ratings.told.get(RATED_SPEED, 0.0)
+            told = ratings.told.get(RATED_SPEED)
+            rpm = self.rated_speed * told if told is not None else 0.0 if without is None else without
         if self.rated_current is not None:
-            current = self.rated_current * ratings.told.get(RATED_CURRENT, 0.0)
+            told = ratings.told.get(RATED_CURRENT)
+            current = self.rated_current * told if told is not None else 0.0 if without is None else math.inf
         assert rpm is not None
         assert current is not None
         return Envelope(rpm, current)
 
     def rated_by(self) -> set[str]:
         """The ratings that are needed for that."""
+        if self.unrated_rpm is not None:
+            return set()
         shares = {RATED_SPEED: self.rated_speed, RATED_CURRENT: self.rated_current}
         return {rating for rating, share in shares.items() if share is not None}
 
@@ -113,15 +119,16 @@ def energises(
     *,
     rated_speed: float | None = None,
     rated_current: float | None = None,
+    unrated_rpm: float | None = None,
 ) -> pytest.MarkDecorator:
     """Announce the highest speed and current that the test asks for.
 
     Mechanical r/min and A (peak), or either as a share of what the drive is rated for. Raises ValueError unless each is
-    given once.
+    given once. A test with `unrated_rpm` runs without ratings too: at that speed, with the drive's own current limit.
     """
     if (rpm is None) == (rated_speed is None) or (current is None) == (rated_current is None):
         raise ValueError("energises: give rpm or rated_speed, and current or rated_current")
-    return pytest.mark.bench_energises(_Asked(rpm, current, rated_speed, rated_current))
+    return pytest.mark.bench_energises(_Asked(rpm, current, rated_speed, rated_current, unrated_rpm))
 
 
 def declared_limits(item: pytest.Item) -> list[Limits]:
@@ -172,7 +179,9 @@ def announced(item: pytest.Item, ratings: Ratings) -> Envelope:
 
 
 def rated_by(item: pytest.Item) -> list[str]:
-    """The ratings that a test's limits and setpoints are shares of."""
+    """The ratings that a test's limits and setpoints are shares of, but for one that does without."""
     mark = item.get_closest_marker(ENERGISES)
+    if mark is not None and mark.args[0].unrated_rpm is not None:
+        return []
     asked = set() if mark is None else mark.args[0].rated_by()
     return sorted(asked | {limits.of for limits in declared_limits(item) if limits.of})

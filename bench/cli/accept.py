@@ -11,6 +11,7 @@ import click
 
 from bench.accept.report_files import holds_report
 from bench.cli.files import DIRECTORY, FILE, check_files, config_option, json_option, overwrite_option, write_json
+from bench.cli.number import Number
 from bench.cli.options import yes_option
 from bench.cli.output import Progress
 from bench.cli.streams import echo, note
@@ -49,6 +50,9 @@ class _Screen(Progress):
 @config_option
 @click.option("--operator", metavar="NAME", help="Who runs this, for the report.")
 @click.option("--motor", metavar="TEXT", help="Which motor this is, for the report: type and serial number.")
+@click.option("--rated-speed", metavar="RPM", type=Number(above=0),
+              help="What the motor is rated for, r/min: written to [rated] in bench.toml.")  # fmt: skip
+@click.option("--rated-current", metavar="A", type=Number(above=0), help="The same, A peak.")
 @click.option("--spec", metavar="FILE|NAME",
               help="What good drives of this kind measure: their bands are judged too; sim is shipped.")  # fmt: skip
 @click.option("--learn-limits", "learn", metavar="FILE", type=FILE,

@@ -19,7 +19,7 @@ from bench.cli.number import Number
 from bench.cli.options import operator_option, part_options, yes_option
 from bench.cli.streams import echo, note
 from bench.cli.target import TargetType
-from bench.errors import Interrupted, OutputsMayBeOn
+from bench.errors import BenchError, ExitCode, Interrupted, OutputsMayBeOn
 from bench.files import STANDARD_OUTPUT, is_run, run_folder
 from bench.signal.verdict import Verdict
 
@@ -92,7 +92,8 @@ def check(source: str, json_file: Path | None, **given: Any) -> None:
     If the drive trips, what was recorded is still evaluated. RUN: a recording in which the shaft turned forward and
     reverse.
 
-    Exit codes: 0 healthy, 1 fault found, 2 inconclusive, or error, 5 outputs may still be on.
+    Exit codes: 0 healthy, 1 fault found, 2 inconclusive, error, or not completed, such as where the drive tripped or
+    rebooted, 5 outputs may still be on.
 
     \b
     Examples:
@@ -104,8 +105,13 @@ def check(source: str, json_file: Path | None, **given: Any) -> None:
     from bench.cli.output import Progress
 
     options = _options(source, given, {"--json": json_file})
-    with Progress() as screen, _opened(options, screen) as found:
-        health = _show(source, found, json_file, screen)
+    try:
+        with Progress() as screen, _opened(options, screen) as found:
+            health = _show(source, found, json_file, screen)
+    except BenchError as error:
+        if error.exit_code != ExitCode.FAILED:
+            raise
+        fail(f"the check was not completed: {error}", ExitCode.ERROR)  # of its codes, 1 is a fault that it has found
     sys.exit(health.exit_code)
 
 

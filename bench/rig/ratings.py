@@ -19,7 +19,7 @@ HEADROOM = 1.05
 ROUND = 10.0  # r/min
 FLOAT32 = 1e-6  # to which a drive rounds its parameters, as a share
 RATING_PARAMETERS = ("omega_m_max", "i_max", "L_s_hat", "psi_f_hat")
-_TOLD_BY = {RATED_SPEED: ("omega_m_max", "speed_rpm"), RATED_CURRENT: ("i_max", "current")}
+TOLD_BY = {RATED_SPEED: ("omega_m_max", "speed_rpm"), RATED_CURRENT: ("i_max", "current")}
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Ratings:
     def missing(self, wanted: Collection[str]) -> list[str]:
         """What is not known of these, in words, and who may say it."""
         return [
-            f"needs the drive's {what}: it has no parameter {_TOLD_BY[what][0]}; set [rated] {_TOLD_BY[what][1]} in "
+            f"needs the drive's {what}: it has no parameter {TOLD_BY[what][0]}; set [rated] {TOLD_BY[what][1]} in "
             "bench.toml"
             for what in wanted
             if what not in self.told
@@ -69,7 +69,7 @@ def ratings(parameters: Mapping[str, float], own: Mapping[str, float]) -> Rating
     told = {what: limit for what, limit in most.items() if math.isfinite(limit)}
     if RATED_SPEED in told:
         told[RATED_SPEED] = math.floor(told[RATED_SPEED] / HEADROOM / ROUND) * ROUND
-    for what, (parameter, key) in _TOLD_BY.items():
+    for what, (parameter, key) in TOLD_BY.items():
         if key not in own:
             continue
         if own[key] > most[what] * (1.0 + FLOAT32):

@@ -33,6 +33,7 @@ from typing import Any
 
 from bench.device.simulator import configuration
 from bench.errors import BenchError
+from bench.files import write
 from bench.signal.limits import Limits
 from protocol.errors import TargetError
 from protocol.links.target import parse_target
@@ -149,6 +150,32 @@ def read_settings(path: Path | None) -> Settings:
         rated={key: float(value) for key, value in rated.items()},
         limits={name: _limits(name, value, file) for name, value in data.get("limits", {}).items()},
     )
+
+
+def write_rated(path: Path | None, told: Mapping[str, float | None]) -> None:
+    """Write what is told to [rated] of `path`, or of `bench.toml` in the present directory; all else stays as it is.
+
+    BenchError where the file says otherwise, or cannot be written.
+    """
+    file = path or Path(FILE)
+    there = read_settings(path).rated
+    given = {key: value for key, value in told.items() if value is not None and there.get(key) != value}
+    for key in given.keys() & there.keys():
+        raise BenchError(f"{file} says [rated] {key} = {there[key]:g}, not {given[key]:g}: change it there")
+    if not given:
+        return
+    lines = file.read_text().splitlines() if file.exists() else []
+    at = next((k for k, line in enumerate(lines, 1) if re.fullmatch(r"\s*\[\s*rated\s*\]\s*(#.*)?", line)), 0)
+    if not at:
+        lines += [*([""] if lines else []), "[rated]"]
+        at = len(lines)
+    lines[at:at] = [f"{key} = {value!r}" for key, value in given.items()]
+    text = "\n".join(lines) + "\n"
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise BenchError(f"[rated] does not fit into {file} ({error}): write it there by hand") from None
+    write(file, text, str(file))
 
 
 def _numbers(name: str) -> list[str]:

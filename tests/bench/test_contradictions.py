@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from lossy import LosingLink, Losses
 from lying import of_edges, of_flags, of_heartbeats, of_samples
 from virtual_run import WatchedLink, run, simulated
 
+import bench
 from protocol.messages import DriveState
 from protocol.signals import Flag
 from sim.ports.device import SimulatedDevice
@@ -160,3 +162,18 @@ def test_what_is_seen_ends_with_stop_where_no_channel_tells_the_state() -> None:
     ended = run(WatchedLink(device), speed_rpm=2000.0, duration=3.0, channels=("theta_enc", "omega_enc", "theta_vt"))
     [came] = ended.summary.asked
     assert came.speed_came_rpm == pytest.approx(2000.0, rel=0.01)
+
+
+@pytest.mark.parametrize("config", [{}, {"encoder__present": 0}], ids=["encoder", "no encoder"])
+@pytest.mark.parametrize("rpm", [120.0, -1500.0])
+def test_a_check_names_exchanged_codes(tmp_path: Path, config: dict[str, int], rpm: float) -> None:
+    run(WatchedLink(_exchanged(simulated(**config))), save=tmp_path / "a.run", speed_rpm=rpm, duration=3.0)
+    health = bench.hall(tmp_path / "a.run")
+    assert [finding.code for finding in health.findings] == ["edge_records"]
+    assert "exchanged" in health.findings[0].cause
+    assert health.exit_code == 1
+
+
+def test_a_check_of_sound_records_names_none(tmp_path: Path) -> None:
+    run(WatchedLink(simulated()), save=tmp_path / "a.run", speed_rpm=300.0, duration=3.0)
+    assert bench.hall(tmp_path / "a.run").findings == ()

@@ -37,6 +37,8 @@ THETA = {AVERAGE: "theta_avg", PROPOSED: "theta_vt", KALMAN: "theta_ek"}
 OMEGA = {AVERAGE: "omega_avg", PROPOSED: "omega_vt", KALMAN: "omega_ek"}
 
 
+UNRATED = 10.0
+"""r/min that any motor may turn at, whatever it is rated for."""
 TURNS = ("parameter:n_p", "channel:status", "speed")
 """What a test needs that asks for r/min and looks at states."""
 AVERAGED = ("channel:theta_avg", "channel:omega_avg", "observer:average-speed")

@@ -36,6 +36,7 @@ from bench.accept.suite.common import (
     SLOW,
     STD,
     TURNS,
+    UNRATED,
     VECTOR,
     Figure,
     Measure,
@@ -270,9 +271,9 @@ SPEED, LAST = 2 / 30, 2.2 / 30  # of the rated speed: at the start, and the last
 @yes("named", about="WATCHDOG is the fault, and the only one")
 @yes("outputs_off", about="the heartbeats after that say so")
 @needs(*TURNS)
-@energises(rated_speed=LAST, rated_current=1)
+@energises(rated_speed=LAST, rated_current=1, unrated_rpm=UNRATED)
 def test_watchdog(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
-    """The host falls silent at a fifteenth of the rated speed: the drive switches itself off.
+    """The host falls silent at a fifteenth of the rated speed, or at rest if nobody tells it: the drive switches off.
 
     The last that it hears is a setpoint, whose effect shows in the data when that was.
     """
@@ -312,17 +313,20 @@ def _watchdog(drive: Drive) -> float:
 def _silence(
     drive: Drive, rated: Ratings, record: Record, let_go: Callable[[], None]
 ) -> tuple[Capture, float, bool, bool]:
-    """Fall silent at SPEED; `let_go` takes the load off once the drive has tripped.
+    """Fall silent at SPEED, at rest if nobody tells the rated one; `let_go` takes the load off once it has tripped.
 
     Returns what came, the device time in s of the last that the drive heard, whether WATCHDOG was its only fault, and
     whether its heartbeat then said that the outputs are off.
     """
-    run_at(drive, record, SPEED * rated.speed_rpm, 0.3)
+    speed, last_speed = (
+        (SPEED * rated.speed_rpm, LAST * rated.speed_rpm) if RATED_SPEED in rated.told else (0.0, UNRATED)
+    )
+    run_at(drive, record, speed, 0.3)
     with drive.may_trip():
         with record.stretch() as stretch:
             record.wait(0.03)
             drive.node.client.feed(drive.node.number, on=False)
-            drive.speed(rpm=LAST * rated.speed_rpm)
+            drive.speed(rpm=last_speed)
             record.until(lambda: bool(drive.faults), 3.0 * _watchdog(drive))
             let_go()
             record.wait(0.05)

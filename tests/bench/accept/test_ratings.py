@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
-from accepting import Accepting
+from accepting import Accepting, SpoiltLink
 
 from bench.accept import RATED_CURRENT, RATED_SPEED, energises
+from bench.accept.accept import closing_lines
 from bench.errors import BenchError
 from bench.rig.ratings import ratings
+from bench.rig.settings import write_rated
 from bench.signal.limits import LOAD_ANGLE, Limits
+from protocol.descriptor import Descriptor
+from sim.config.params import load_params
+from sim.ports.device import SimulatedDevice
 
 PAPER = {"omega_m_max": 330.0, "i_max": 8.0}
 TURNS = """
@@ -99,3 +106,72 @@ def test_set_points_and_limits_scale_and_a_test_keeps_to_the_share_that_it_annou
 def test_the_list_shows_numbers_and_where_they_come_from(accepting: Accepting) -> None:
     listed = accepting(list_only=True).screen.notes
     assert "hall_wire_broken[a].current_max: ≤ 10 A (≤ 1.25 × rated current)" in listed
+
+
+def _unrated(*lacking: str) -> SpoiltLink:
+    """A simulated drive without these parameters, for all that a host can know."""
+    device = SimulatedDevice(load_params(None, {}), 1)
+    for session in device.sessions:
+        session.app.parameters = [p for p in session.app.parameters if p.name not in lacking]  # type: ignore[misc]
+        session.descriptor = Descriptor.of(session.app.channels, session.app.parameters)
+        session._blob = session.descriptor.pack()
+    return SpoiltLink(device)
+
+
+BOTH = ("omega_m_max", "i_max")
+CHOSEN = "watchdog or test_stop or full_speed"
+
+
+@pytest.mark.parametrize("lacking", [BOTH, BOTH[:1], BOTH[1:]], ids=" ".join)
+def test_what_needs_no_rating_is_tested_without_one(accepting: Accepting, lacking: tuple[str, ...]) -> None:
+    run = accepting(link=_unrated(*lacking), keyword=CHOSEN, yes=True)
+    assert run.tests["watchdog"] == "PASS"
+    assert {run.measured[f"stop.{name}"].verdict for name in ("command_time", "idle_share")} == {"PASS"}
+    for name, parameter, key in (("speed", "omega_m_max", "speed_rpm"), ("current", "i_max", "current")):
+        said = f"needs the drive's rated {name}: it has no parameter {parameter}; set [rated] {key} in bench.toml"
+        assert (said in run["full_speed"].why) == (parameter in lacking)
+        assert (said in run["stop"].why) == (parameter in lacking)
+    assert run["full_speed"].verdict == "SKIPPED"
+    lines = closing_lines(run.result)
+    at = lines.index("    [rated]")
+    filled = [re.sub(r"=\s+#", "= 5 #", line) for line in lines[at : at + 1 + len(lacking)]]
+    assert set(tomllib.loads("\n".join(filled))["rated"]) == {
+        key for parameter, key in zip(BOTH, ("speed_rpm", "current"), strict=True) if parameter in lacking
+    }
+    with pytest.raises(tomllib.TOMLDecodeError):  # nobody runs a motor at a number that nobody gave
+        tomllib.loads("\n".join(lines[at : at + 2]))
+
+
+def test_ratings_that_are_given_are_written_and_used(accepting: Accepting) -> None:
+    Path("bench.toml").write_text("station = 'x'  # mine\n[limits]\n'turns.current' = { hi = 9 }\n")
+    given = {"rated_speed": 2000.0, "rated_current": 5.0}
+    run = accepting(link=_unrated(*BOTH), keyword="watchdog", yes=True, **given)
+    assert set(run.tests.values()) == {"PASS"}
+    assert "    [rated]" not in closing_lines(run.result)
+    text = Path("bench.toml").read_text()
+    assert "# mine" in text
+    assert tomllib.loads(text)["rated"] == {"speed_rpm": 2000.0, "current": 5.0}
+    accepting(link=_unrated(*BOTH), keyword="test_watchdog and not load", yes=True, **given)
+    assert Path("bench.toml").read_text() == text
+    with pytest.raises(BenchError, match=r"bench.toml says \[rated\] current = 5, not 6: change it there"):
+        accepting(keyword="test_watchdog", rated_current=6.0)
+
+
+@pytest.mark.parametrize(("before", "after"), [
+    ("", "[rated]\nspeed_rpm = 7.5\n"),
+    ("[rated]  # r\ncurrent = 2\n[rig]\n", "[rated]  # r\nspeed_rpm = 7.5\ncurrent = 2\n[rig]\n"),
+    ("station = 'x'\n", "station = 'x'\n\n[rated]\nspeed_rpm = 7.5\n"),
+])  # fmt: skip
+def test_a_rating_goes_where_it_belongs(tmp_path: Path, before: str, after: str) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(before)
+    write_rated(file, {"speed_rpm": 7.5, "current": None})
+    assert file.read_text() == after
+
+
+def test_a_rating_that_cannot_be_put_there_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text("rated = { current = 2 }\n")
+    with pytest.raises(BenchError, match=r"does not fit into .*: write it there by hand"):
+        write_rated(file, {"speed_rpm": 7.5})
+    assert file.read_text() == "rated = { current = 2 }\n"
