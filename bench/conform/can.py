@@ -492,7 +492,7 @@ def _same_load(reply: StreamReply, due: float, what: str) -> str:
     return f"{what}: {reply.load:.3%}"
 
 
-@bus("overload", "16.23", needs=STREAMS)
+@bus("overload", "11.28 16.23", needs=STREAMS)
 def overload(device: Device) -> str:
     """A bus load beyond 95 % is refused with the smallest decimation that fits; that decimation is accepted."""
     line = device.bus

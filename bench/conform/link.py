@@ -253,7 +253,7 @@ def damage_is_counted(device: Device) -> str:
     raise Failed(f"rx_bad counted {counted} of {n} damaged frames")
 
 
-@check("rx-max-taken", "4.17 1.9 4.2")
+@check("rx-max-taken", "4.17 1.9 4.2 16.19")
 def rx_max_taken(device: Device) -> str:
     """A payload of rx_max bytes is received; one of a byte more is not answered, and counted."""
     probe, most = device.probe, device.hello.rx_max

@@ -192,7 +192,7 @@ def feeds(device: Device) -> str:
     sent, end = 0, device.probe.now() + 2.5 * device.watchdog
     while device.probe.now() < end:
         sent += 1
-        device.probe.send(device.probe.frame(MessageType.SETPOINT, payload(mode, sent // 4)))
+        device.probe.send(device.probe.frame(MessageType.SETPOINT, payload(mode, 7)))
         device.probe.listen(device.watchdog / 5)
     beat = device.fresh()
     if beat.state != DriveState.RUNNING:

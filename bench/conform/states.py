@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.conform.checks import Group
 from bench.conform.device import PATIENCE, Device, faults_text, require_granted, width
-from bench.conform.identity import spare
+from bench.conform.identity import outputs_told, spare
 from bench.conform.levels import STATES
 from bench.conform.link import ANSWER, IN_BETWEEN
 from bench.conform.link import LATE as LATE_HERE
@@ -112,8 +112,10 @@ def arm_and_start(device: Device) -> str:
         (Command.START, 0, DriveState.RUNNING),
         (Command.START, 0, DriveState.RUNNING),
     ):
-        answer = require_granted(device.probe.command(command, argument), command.name)
-        words.append(f"{command.name}: {answer}")
+        answer = device.probe.command(command, argument)
+        if answer.error is not None and answer.error.code == ErrorCode.WRONG_STATE:
+            raise Failed(f"{command.name}: {answer}")
+        words.append(f"{command.name}: {require_granted(answer, command.name)}")
         device.feed()
         told, seen = read(answer.frame, StateReply).state, device.fresh().state
         if told != state or seen != state:
@@ -150,7 +152,7 @@ def outputs_as_told(device: Device) -> str:
         beat = device.fresh()
         if beat.state != state:
             raise Unknown(f"the state is {state_name(beat.state)}, not {state.name}")
-        said[state] = int(beat.outputs_on)
+        said[state] = outputs_told(device)
         if said[state] != (state == DriveState.RUNNING):
             raise Failed(f"outputs_on is {said[state]} in {state.name}")
     return ", ".join(f"{on} in {state.name}" for state, on in said.items())
@@ -307,6 +309,8 @@ def fault_latches(device: Device) -> str:
     probe.stop()
     probe.send(probe.frame(MessageType.SETPOINT, struct.pack("<BxHff", SetpointMode.SPEED, 1, 0.0, 0.0)))
     probe.listen(LATCHED)
+    probe.feed_every = None
+    probe.listen(2 * LATCHED)
     now = device.fresh()
     if now.state != DriveState.FAULT or now.faults != beat.faults or now.first_fault != beat.first_fault:
         raise Failed(f"after ALIVE, a setpoint, HELLO and STOP: {says(now)}, was {says(beat)}")
@@ -473,6 +477,7 @@ def told(device: Device) -> str:
         if left == UNFED or left > whole + 1:
             raise Failed(f"watchdog_ms is {left} in {state.name}, the whole time is {whole:.0f} ms")
         device.probe.beat()
+        device.probe.listen(0.3 * BEAT_PERIOD)  # what is left and what has passed are not to be the same
         first, last = device.unfed()
         since = len(device.probe.heard)
         device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)

@@ -1,7 +1,7 @@
 """What `bench conform` finds of devices that break a sentence of SPEC: `python -m tests.bench.conform_power [NAME …]`.
 
 Each violation runs in a process of its own, in virtual time, on each of its links, at the level that has its checks,
-and at the highest where none of them fails: the device side in C with one change (tables/conform_mutants.toml) behind the
+and at the highest where none of them fails: the device side in C with a change (tables/conform_mutants.toml) behind the
 simulated drive, and the device of tests/devices with one fault (tables/conform_faults.toml). The figures go to
 docs/conform/found.json, of which docs/make_conform.py makes the page; results are kept below .violations, so that a run
 that was interrupted goes on where it was.
@@ -72,10 +72,11 @@ class Violation:
 
 def violations() -> list[Violation]:
     """All of them, those in C first."""
-    return [*_in_c(), *_by_faults()]
+    return [*in_c(), *_by_faults()]
 
 
-def _in_c() -> Iterator[Violation]:
+def in_c() -> Iterator[Violation]:
+    """Those of the device side in C."""
     for chapter, rows in tomllib.loads((TABLES / "conform_mutants.toml").read_text()).items():
         for row in rows:
             checks = (row["check"],) if isinstance(row["check"], str) else tuple(row["check"])
@@ -103,6 +104,16 @@ def stamp() -> str:
     return digest.hexdigest()[:12]
 
 
+def changed(violation: Violation) -> str:
+    """The text of its file with the changes. ValueError where what is changed does not stand there once."""
+    text = (compiled.SOURCE / violation.file).read_text()
+    for old, new in violation.changes:
+        if text.count(old) != 1:
+            raise ValueError(f"{violation.name}: stands {text.count(old)} times in {violation.file}: {old}")
+        text = text.replace(old, new)
+    return text
+
+
 def run_on(violation: Violation, level: int) -> Run:
     """The run of a level's checks on the device that breaks this. NoCompiler where it cannot be compiled."""
     if not violation.changes:
@@ -110,13 +121,7 @@ def run_on(violation: Violation, level: int) -> Run:
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder, "c")
         shutil.copytree(compiled.SOURCE, source)
-        file = source / violation.file
-        text = file.read_text()
-        for old, new in violation.changes:
-            if text.count(old) != 1:
-                raise ValueError(f"{violation.name}: stands {text.count(old)} times in {violation.file}: {old}")
-            text = text.replace(old, new)
-        file.write_text(text)
+        (source / violation.file).write_text(changed(violation))
         with (
             patch.object(compiled, "SOURCE", source),
             patch.object(compiled, "FLAGS", compiled.FLAGS.replace("-O2", "-O0")),

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from unittest.mock import patch
 
 from shared import table
-from virtual_run import RecordingScreen
+from virtual_run import RecordingScreen, simulated
 
 from bench.conform import run as conforming
 from bench.conform.catalogue import chosen
@@ -47,7 +48,7 @@ RICH = replace(
 
 TO_STREAMS, TO_STATES, TO_MOTION, ON_CAN = table("conform_faults").values()
 MEANT_FOR = TO_STREAMS | TO_STATES | TO_MOTION | ON_CAN
-"""By fault, the one check that must fail."""
+"""By fault, the check that must fail."""
 
 OVERLOADED = ("stream.seq-counts-dropped", "stream.tx-dropped", "stream.overrun-flag")
 """Checks that cost a test as much as all others together."""
@@ -67,8 +68,12 @@ def on_device(
     vocabulary: str | Vocabulary = RICH,
     carrier: str = "bytes",
     without: Collection[str] = (),
+    **options: float,
 ) -> tuple[Run, Device]:
-    """The run, and the device as it is after it. It drops frames when 12 KiB of them wait; `without` these checks."""
+    """The run, and the device as it is after it. It drops frames when 12 KiB of them wait; `without` these checks.
+
+    `options` are those of the device.
+    """
 
     def some(level: int, bus: bool) -> list[Check]:
         return [check for check in chosen(level, bus) if check.id not in without]
@@ -77,9 +82,20 @@ def on_device(
         patch.object(carriers, "MOST_WAITING", 8192),
         patch.object(virtual, "ROOM", 4096),
         patch.object(conforming, "chosen", some),
-        serving(vocabulary, faults, carrier) as device,
+        serving(vocabulary, faults, carrier, **options) as device,
     ):
         return run_on(device.link, level, idle=device.link.idle), device
+
+
+@contextmanager
+def device_of(kind: str) -> Iterator[tuple[Link, Callable[[float], None]]]:
+    """A healthy device by the kind of its link, or of itself: the link, and what lets time pass on it."""
+    if kind in ("bytes", "CAN"):
+        with serving(RICH, carrier=kind) as device:
+            yield device.link, device.link.idle
+    else:
+        simulator = simulated(compiled=kind == "in C")
+        yield VirtualLink(simulator), lambda seconds: simulator.advance(round(seconds * simulator.pwm_hz))
 
 
 def on_simulated(level: int, device: SimulatedDevice) -> Run:
