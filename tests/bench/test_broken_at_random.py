@@ -36,7 +36,8 @@ OF_THE_MOTOR = {case.faults for case in TABLES["motors"]} | {"nan-samples", "ove
 OF_THE_HALLS = OF_THE_MOTOR | {"hall-as-read", "hall-set-is-an-edge", "edges-after-samples", "n-p-zero"}
 ACCUSATIONS = {
     r"has rebooted|reboots": {"reboots", "tick-back"},
-    r"result +implausible": OF_THE_MOTOR | {"samples-of-the-future", "samples-of-the-past"},
+    r"result +implausible: (?!the drive contradicts)": OF_THE_MOTOR | {"samples-of-the-future", "samples-of-the-past"},
+    r"contradicts itself": {"edges-uncounted", "state-9", "tick-back", "outputs-told-off"},
     r"let its motor run away": {"backwards", "setpoint-clipped"},
     r"two devices answer": set(),
     r"left RUNNING without": {"leaves-running", "foreign-stop"},
