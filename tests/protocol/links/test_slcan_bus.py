@@ -127,6 +127,37 @@ def raw() -> Iterator[tuple[int, str]]:
     os.close(master)
 
 
+@pytest.mark.parametrize("end", [b"\r", b"\r\n", b"\n"])
+@pytest.mark.parametrize("refuses", [b"", b"S8"])
+def test_an_adapter_may_end_its_lines_as_println_does(raw: tuple[int, str], end: bytes, refuses: bytes) -> None:
+    """Each command has its answer all the same, and a bell is one; then frames come."""
+    master, path = raw
+
+    def adapter() -> None:
+        told = b""
+        while not told.endswith(b"O\r"):
+            told += os.read(master, 100)
+        for command in told.split(b"\r")[:-1]:
+            os.write(master, b"\a" if refuses and command == refuses else end)
+        os.write(master, b"t0010" + end + b"t00218A" + end + b"T000000030" + end)
+
+    answering = threading.Thread(target=adapter)
+    answering.start()
+    try:
+        if refuses:
+            with pytest.raises(can.CanInitializationError, match="refused the bit rate 1000000"):
+                SlcanBus(path, bitrate=1_000_000)
+            return
+        with SlcanBus(path, bitrate=1_000_000) as bus:
+            rows = b""
+            while len(rows) < 3 * CAN_RECORD.itemsize and (more := bus.recv_records(5.0)):
+                rows += more
+            assert np.frombuffer(rows, CAN_RECORD)["id"].tolist() == [1, 2, 3 | EXTENDED]
+            assert (bus.malformed, bus.refused, list(bus.replies)) == (0, 0, [])
+    finally:
+        answering.join()
+
+
 def test_damaged_lines_are_counted_and_answers_kept(raw: tuple[int, str]) -> None:
     master, path = raw
     with SlcanBus(path) as bus:
