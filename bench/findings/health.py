@@ -30,6 +30,7 @@ from bench.findings.thresholds import (
 )
 from bench.findings.wiring import Diagnosis, diagnose
 from bench.signal import hall_edges, pulses, reference
+from bench.signal.chunks import edges_lost
 from bench.signal.delays import Delays, delays_of
 from bench.signal.hall_edges import Measured
 from bench.signal.hall_inputs import UNSURE, Inputs
@@ -199,6 +200,8 @@ def _explained(trace: Trace, measured: Measured, since: int) -> Diagnosis | None
 def _lost(trace: Trace, inputs: Inputs) -> str:
     """Why nothing is judged where so many edges were lost that only an encoder tells how far the shaft went."""
     edges = trace.came + trace.lost_edges
+    if not trace.came and edges_lost(trace.dropped):
+        return "all Hall edges were lost: mend the link, and check again"
     if trace.lost_edges <= LOST_SHARE * edges or (trace.encoder and not math.isnan(inputs.ratio)):
         return ""
     left = "hardly a revolution came whole" if trace.encoder else "without an encoder nothing tells what they were"
