@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bench.device.heard import ClockRestarted, Heard
 from bench.findings.finding import Finding
-from bench.findings.thresholds import COUNTS_OFF, FASTEST_EDGES, FEW_BEATS
+from bench.findings.thresholds import AT_RANDOM, COUNTS_OFF, FASTEST_EDGES, FEW_BEATS, FEW_RECORDS
 from bench.signal.position import states
 from protocol.codes import DriveState
 from protocol.host import HeartbeatReceived
@@ -27,9 +27,13 @@ COUNTS = {"edges": 32, "tx_dropped": 32, "rx_bad": 32, "setpoints_rejected": 16}
 class Beats:
     """Sink that follows node `drive`."""
 
-    def __init__(self, drive: int, tick_hz: int) -> None:
-        self._drive, self._tick_hz = drive, tick_hz
+    def __init__(self, drive: int, tick_hz: int, edges: bool) -> None:
+        """`edges`: whether it sees Hall edges."""
+        self._drive, self._tick_hz, self._sees_edges = drive, tick_hz, edges
         self._found: dict[str, Finding] = {}
+        self._changes = 0  # of the channel hall from sample to sample, since the first heartbeat
+        self._code: tuple[int, int] | None = None  # index and code of the last sample
+        self._came, self._counted = False, 0  # whether any edge has, and how many there were by heartbeats
         self._unlike = 0  # heartbeats that the channel status contradicts
         self._restart()
 
@@ -52,12 +56,24 @@ class Beats:
             case ClockRestarted(node=self._drive):
                 self._restart()
 
+    @property
+    def all_lost(self) -> bool:
+        """Whether heartbeats count edges of which none has come."""
+        return not self._came and self._counted > 0
+
     def findings(self) -> list[Finding]:
         """What contradicts itself."""
         return list(self._found.values())
 
     def _heartbeat(self, heartbeat: Heartbeat) -> None:
         last, self._last = self._last, heartbeat
+        if last is not None:
+            self._counted += max(0, heartbeat.edges - last.edges)
+            if self._sees_edges and self._changes > AT_RANDOM * self._counted + FEW_RECORDS:
+                told = (
+                    f"the channel hall changed {self._changes} times, at {self._counted} Hall edges by its heartbeats"
+                )
+                self._find("hall", told, heartbeat.tick)
         if last is not None and last.boot_id == heartbeat.boot_id and last.tick < heartbeat.tick:
             for name, bits in COUNTS.items():
                 before, now = getattr(last, name), getattr(heartbeat, name)
@@ -71,7 +87,7 @@ class Beats:
 
     def _edges(self, chunk: EdgeChunk) -> None:
         """A heartbeat counts the edges up to its tick: it lies between the numbers of those before and after it."""
-        tick, number = chunk.tick, chunk.index
+        tick, number, self._came = chunk.tick, chunk.index, True
         if self._edge is not None:
             tick, number = np.append(self._edge[0], tick), np.append(self._edge[1], number)
         self._edge = int(tick[-1]), int(number[-1])
@@ -87,6 +103,7 @@ class Beats:
                     self._find("edges", told, beat.tick)
 
     def _samples(self, chunk: SampleChunk) -> None:
+        self._codes(chunk)
         told = states(chunk)
         if told is None:
             self._for_status.clear()
@@ -108,6 +125,15 @@ class Beats:
                     self._find("status", f"its state is {both}", beat.tick)
         kept = int(np.searchsorted(tick, tick[-1] - self._tick_hz))
         self._states = tick[kept:], told[kept:]
+
+    def _codes(self, chunk: SampleChunk) -> None:
+        if "hall" not in (chunk.raw.dtype.names or ()) or self._last is None:
+            return
+        index, codes = chunk.index, chunk.raw["hall"]
+        if self._code is not None:
+            index, codes = np.append(self._code[0], index), np.append(self._code[1], codes)
+        self._changes += int(np.count_nonzero((np.diff(codes) != 0) & (np.diff(index) == chunk.config.index_step)))
+        self._code = int(index[-1]), int(codes[-1])
 
     def _find(self, what: str, words: str, tick: int) -> None:
         if what not in self._found:

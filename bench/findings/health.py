@@ -18,11 +18,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.findings import edges, encoder, late, records, sensors, wiring
-from bench.findings.finding import Finding
+from bench.findings.finding import Finding, percent
 from bench.findings.sensors import Codes
-from bench.findings.thresholds import CLOUDED, HIDDEN, LEAST_PASSAGES, LEAST_REACH, LEAST_TURNS
+from bench.findings.thresholds import (
+    CLOUDED,
+    HIDDEN,
+    LEAST_PASSAGES,
+    LEAST_REACH,
+    LEAST_TURNS,
+    LOST_SHARE,
+)
 from bench.findings.wiring import Diagnosis, diagnose
 from bench.signal import hall_edges, pulses, reference
+from bench.signal.chunks import edges_lost
 from bench.signal.delays import Delays, delays_of
 from bench.signal.hall_edges import Measured
 from bench.signal.hall_inputs import UNSURE, Inputs
@@ -77,6 +85,8 @@ def examine(trace: Trace, further: str = "", still_named: bool = False) -> Healt
     )  # fmt: skip
     if contradicting := tuple(records.contradicting(trace)):  # all else would follow from it
         return replace(health, verdict=Verdict.FAIL, findings=contradicting)
+    if lost := _lost(trace, inputs):
+        return replace(health, missing=(lost,))
     missing: list[str] = []
     covered = max(inputs.reach, _reach(trace))
     if not turns.total >= LEAST_TURNS or covered < LEAST_REACH:
@@ -185,6 +195,18 @@ def _explained(trace: Trace, measured: Measured, since: int) -> Diagnosis | None
         return diagnose(some.theta[use] - measured.ring, some.hall[use])
     except ValueError:
         return None
+
+
+def _lost(trace: Trace, inputs: Inputs) -> str:
+    """Why nothing is judged where so many edges were lost that only an encoder tells how far the shaft went."""
+    edges = trace.came + trace.lost_edges
+    if not trace.came and edges_lost(trace.dropped):
+        return "all Hall edges were lost: mend the link, and check again"
+    if trace.lost_edges <= LOST_SHARE * edges or (trace.encoder and not math.isnan(inputs.ratio)):
+        return ""
+    left = "hardly a revolution came whole" if trace.encoder else "without an encoder nothing tells what they were"
+    share = percent(trace.lost_edges / edges)
+    return f"{trace.lost_edges} of {edges} Hall edges were lost ({share}), and {left}: mend the link, and check again"
 
 
 def _reach(trace: Trace) -> float:

@@ -36,6 +36,7 @@ from bench.findings.thresholds import (
     SHORTLY,
     STILL,
 )
+from bench.signal.chunks import edges_lost
 from bench.signal.hall_inputs import STOPPED, Inputs
 from bench.signal.levels import MOST_REVOLUTIONS, Levels
 from bench.signal.pulses import Pulses
@@ -62,6 +63,8 @@ def dead(trace: Trace, inputs: Inputs, turned: float, candidates: Sequence[Away]
     `candidates`: inputs that are away, by which nothing tells that the shaft turns where there is no encoder.
     """
     changes, edges = trace.changes(), trace.edges
+    if not len(edges.tick) and edges_lost(trace.dropped):
+        return
     if not len(edges.tick) and turned >= DEAD_TURNS and np.count_nonzero(trace.codes) != 1:
         yield Finding(
             "dead",

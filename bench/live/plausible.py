@@ -58,7 +58,7 @@ class Plausibility:
         if not self._omega and not edges:
             self._omega = speed_channel(channels, parameters)
         i_max = parameters.get("i_max", math.inf)
-        self._passed, self._beats = Passed(stream.node, stream.tick_hz), Beats(stream.node, stream.tick_hz)
+        self._passed, self._beats = Passed(stream.node, stream.tick_hz), Beats(stream.node, stream.tick_hz, edges)
         self.commanded = True
         """Whether the drive is told what to do: what it does after STOP is not judged."""
         self.speed, self._currents = SpeedHeld(self._by, self._n_p or 1, i_max), Currents(i_max)
@@ -107,7 +107,7 @@ class Plausibility:
         """What was found since the last call, each once; of the motor, as long as nothing is wrong with its angle."""
         motor = list(self.motor.findings())
         for said in self.hall.news():
-            if not _explained(said.finding, motor):
+            if not _explained(said.finding, motor) and not self._unseen(said.finding):
                 self._named.add(said.finding.code)
                 yield said
         if not any(map(_of_angle, self._named)):
@@ -131,11 +131,18 @@ class Plausibility:
 
     def at_rest(self) -> list[Finding]:
         """The same of a drive that was only watched."""
-        return [*self._beats.findings(), *self.hall.findings()]
+        return [*self._beats.findings(), *self._of_hall()]
+
+    def _of_hall(self) -> list[Finding]:
+        return [finding for finding in self.hall.findings() if not self._unseen(finding)]
+
+    def _unseen(self, finding: Finding) -> bool:
+        """Whether no Hall edge came, of any that the drive has counted: nothing is known of its sensors."""
+        return finding.code == "dead" and self._beats.all_lost
 
     def causes(self) -> list[Finding]:
         """What is set or wired wrongly, by what the shaft showed as it turned; also of a run that ended in a trip."""
-        hall = self.hall.findings()
+        hall = self._of_hall()
         motor = [] if any(_of_angle(finding.code) for finding in hall) else list(self.motor.findings())
         return [*(finding for finding in hall if not _explained(finding, motor)), *motor]
 

@@ -15,6 +15,7 @@ from bench.signal.capture import Capture
 from bench.signal.chunks import LostStretches, between, join, no_edges
 from protocol.host import HeartbeatReceived
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.text import counted
 
 
 class Recorder:
@@ -29,6 +30,7 @@ class Recorder:
         self._samples: list[SampleChunk] = []
         self._edges: list[EdgeChunk] = []
         self._lost = LostStretches()
+        self._beats = 0, 0  # the drive's counts of edges, by its first heartbeat and its last
 
     # -- sink ---------------------------------------------------------------------------------------------------
 
@@ -42,6 +44,7 @@ class Recorder:
                 self.dropped += self._lost.before(item)
                 self._edges.append(item)
             case HeartbeatReceived(node=self._drive, heartbeat=heartbeat):
+                self._beats = (self._beats[0] if self.device.seen else heartbeat.edges), heartbeat.edges
                 self.device.add(heartbeat)
             case Missing(node=self._drive, samples=samples, edges=edges):
                 self.dropped += self._lost.at_the_end(samples, edges, self.tick_hz)
@@ -78,6 +81,10 @@ class Recorder:
         near = [c for c in self._edges if not len(c) or (c.tick[-1] >= first and c.tick[0] <= last)]
         edges = join([between(chunk, first, last) for chunk in near or self._edges[:1]])
         dropped = [stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first]
+        if not any(map(len, self._edges)) and (counted_edges := self._beats[1] - self._beats[0] & 0xFFFFFFFF):
+            dropped.append(
+                (first, last, f"{counted(counted_edges, 'Hall edge')} were lost: all that the drive counted")
+            )
         if self.newest < last:
             dropped.append((self.newest, last, f"no sample received after {self._at(self.newest)}"))
         return Capture(samples, edges, dict(parameters), tuple(dropped))

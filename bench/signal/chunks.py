@@ -137,6 +137,11 @@ def lost_stretches(chunk: SampleChunk | EdgeChunk, before: int) -> list[tuple[in
     return found
 
 
+def edges_lost(dropped: Iterable[tuple[int, int, str]]) -> bool:
+    """Whether Hall edges are among what was lost, as `LostStretches` tells it."""
+    return any("Hall edge" in words for _, _, words in dropped)
+
+
 class LostStretches:
     """What is lost of a drive's samples and edges as they come, as `lost_stretches` gives it."""
 

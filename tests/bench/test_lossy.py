@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import random
 from typing import NamedTuple
+from unittest.mock import patch
 
 import pytest
 from lossy import LosingLink, Losses
-from virtual_run import run, simulated
+from virtual_run import TARGET, run, simulated
 
+from bench.cli import main
 from tests.choice import sampled
 
 NO_ENCODER = {"encoder__present": 0}
@@ -55,6 +57,10 @@ REPORTED = [
 ]
 
 
+ALL_LOST = [Case(network, config, Losses(edges=1.0), 300.0, 3.0, 1)
+            for network in ("bytes", "CAN FD") for config in ({}, NO_ENCODER)]  # fmt: skip
+
+
 def _accuses_nobody(of: Case) -> None:
     link = LosingLink(simulated(of.seed, of.network, **of.config), of.losses, of.seed)
     ended = run(link, duration=of.seconds, speed_rpm=of.rpm, fit=True)
@@ -73,6 +79,18 @@ def test_speed_by_edges_is_by_the_drives_clock(of: Case) -> None:
     _accuses_nobody(of)
 
 
-@pytest.mark.parametrize("of", sampled("lossy runs", map(case, range(400)), 14, campaign="lossy"))
+@pytest.mark.parametrize("of", [*ALL_LOST, *sampled("lossy runs", map(case, range(400)), 8, campaign="lossy")])
 def test_losses_accuse_nobody(of: Case) -> None:
     _accuses_nobody(of)
+
+
+@pytest.mark.parametrize("of", [*ALL_LOST[:1], *sampled("lossy checks", map(case, range(200)), 3, campaign="lossy")])
+def test_a_check_accuses_no_sensor_for_what_was_lost(of: Case, capsys: pytest.CaptureFixture[str]) -> None:
+    link = LosingLink(simulated(of.seed, of.network, **of.config), of.losses, of.seed)
+    with patch("bench.rig.connection.open_link", lambda target: link), pytest.raises(SystemExit) as ended:
+        main(["hall", "check", TARGET, "--yes"])
+    printed = capsys.readouterr().out
+    assert ended.value.code in (0, 2), printed
+    assert "FAULT" not in printed
+    if not of.config:
+        assert "no encoder was recorded" not in printed
