@@ -85,7 +85,7 @@ def _ids(results: Sequence[Result], verdict: Verdict) -> list[str]:
 def outcome(run: Run) -> RunOutcome:
     """How it ended; `findings` are the checks that failed, and troubles."""
     found, failed = claim(run), _ids(run.results, Verdict.FAIL)
-    if failed or run.troubles or (run.ended and not run.signal):
+    if failed or (not run.loses and (run.troubles or (run.ended and not run.signal))):
         verdict = Verdict.FAIL
     elif run.signal:
         verdict = Verdict.ABORTED

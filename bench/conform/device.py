@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bench.conform.lines import BusLine, Heard
-from bench.conform.probe import Answer, Probe, read, state_name
+from bench.conform.probe import TRIES, Answer, Probe, read, state_name
 from bench.conform.verdicts import Ended, Failed, NotApplicable, Unknown
 from bench.device.safety import is_off
 from bench.rig.interrupts import undisturbed
@@ -192,11 +192,13 @@ class Device:
         """Restore a parameter if it has changed; `not_put_back` has those that could not be restored."""
         words = f"parameter {record.name} (was {value:g})"
         self.not_put_back.append(words)
-        with undisturbed(), suppress(Ended):
-            if self.parameter(record).value != value:
-                self.set(record, value)
-            if self.parameter(record).value == value:
-                self.not_put_back.remove(words)
+        for _ in range(TRIES):  # a request that went unanswered before is sent once only
+            with undisturbed(), suppress(Ended):
+                if self.parameter(record).value != value:
+                    self.set(record, value)
+                if self.parameter(record).value == value:
+                    self.not_put_back.remove(words)
+                    return
 
     @property
     def offers_edges(self) -> bool:
