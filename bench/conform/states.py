@@ -469,7 +469,7 @@ def _judged(device: Device, wrong: Callable[[Trip], bool]) -> str:
 @watchdog("told", "5.17")
 def told(device: Device) -> str:
     """In ARMED and RUNNING, watchdog_ms in the heartbeat is the time left; in IDLE and FAULT it is 65535."""
-    words, whole = [], 1e3 * device.watchdog
+    words, whole, rough = [], 1e3 * device.watchdog, ROUGH + 1e3 / device.pwm_hz  # a heartbeat is of its last period
     for state in ON_WATCH:
         device.rest()
         device.enter(state)
@@ -483,7 +483,7 @@ def told(device: Device) -> str:
         device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
         for _, beat in device.probe.came(Heartbeat, since):
             least, most = (whole - 1e3 * (beat.tick - tick) / device.hz for tick in (first, last))
-            if beat.state == state and beat.tick > last and not least - ROUGH <= beat.watchdog_ms <= most + ROUGH:
+            if beat.state == state and beat.tick > last and not least - rough <= beat.watchdog_ms <= most + rough:
                 due = f"{least:.0f} to {most:.0f} ms are left of {whole:.0f}"
                 raise Failed(f"watchdog_ms is {beat.watchdog_ms} in {state.name}; {due}")
         words.append(f"{left} in {state.name}")
