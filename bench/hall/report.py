@@ -185,7 +185,7 @@ def _motion_rows(health: Health, lost: int) -> list[list[str]]:
     up, down, turned_round = _steps(steps)
     net = f"net unknown: {counted(lost, 'edge')} lost" if lost else f"{up - down:+d} net"
     rows = [["sectors", f"{up} forward, {down} reverse, {net}"]]
-    if turned_round:
+    if turned_round and not lost:
         rows.append(["turned round", "once" if turned_round == 1 else f"{turned_round} times"])
     if fit is not None:
         slow, fast = fit.slowest / math.tau, fit.fastest / math.tau
@@ -254,7 +254,7 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
         "turns_up": turns.up,
         "turns_down": turns.down,
         "turns_net": None if trace.lost_edges else (up - down) / SECTORS,
-        "steps": {"up": up, "down": down, "reversals": turned_round},
+        "steps": {"up": up, "down": down, "reversals": None if trace.lost_edges else turned_round},
         "omega_rad_s": {"slowest": _plain(slowest), "fastest": _plain(fastest)},
         "n_p": turns.n_p,
         "n_p_by_hall": None if turns.n_p is None else _plain(turns.n_p * turns.ratio),

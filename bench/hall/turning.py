@@ -244,8 +244,10 @@ class Turner:
         if not self._rig.has_encoder:
             return
         capture = self._rig.capture(first, self._rig.recorder.newest)
-        gone = float(capture.theta[-1] - capture.theta[0]) * math.copysign(1.0, omega_m)
-        asked = abs(omega_m) * self._rig.drive.n_p * seconds
+        took = np.diff(capture.t)
+        known = took < 1.5 / capture.rate  # what turned while samples were lost, an angle does not tell
+        gone = float(np.diff(capture.theta)[known].sum()) * math.copysign(1.0, omega_m)
+        asked = abs(omega_m) * self._rig.drive.n_p * seconds * float(took[known].sum() / max(took.sum(), 1e-9))
         if gone < (FOLLOWS * asked if self._running else 0.0):
             raise _NotFollowing(
                 f"commanded to turn {math.degrees(asked):.0f} deg at {omega_m / RPM:+.0f} r/min, it turned "

@@ -94,3 +94,16 @@ def test_a_check_accuses_no_sensor_for_what_was_lost(of: Case, capsys: pytest.Ca
     assert "FAULT" not in printed
     if not of.config:
         assert "no encoder was recorded" not in printed
+
+
+def test_a_check_asks_of_the_shaft_only_what_it_saw(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of every 0.4 s a quarter of a second is lost: what turned meanwhile nobody saw, and no motor that lags."""
+    losses = Losses(outages=tuple((1.0 + 0.4 * k, 1.25 + 0.4 * k) for k in range(60)))
+    link = LosingLink(simulated(), losses)
+    with patch("bench.rig.connection.open_link", lambda target: link), pytest.raises(SystemExit) as ended:
+        main(["hall", "check", TARGET, "--yes"])
+    printed = capsys.readouterr().out
+    assert ended.value.code == 0
+    assert "commanded to turn" not in printed
+    assert "turned round" not in printed
+    assert "net unknown: " in printed

@@ -100,7 +100,7 @@ def test_damage_is_found_by_the_pages_check(tmp_path: Path, monkeypatch: pytest.
 
 def test_the_page_names_every_kind_of_line_and_every_file(tmp_path: Path) -> None:
     written = {record["kind"] for record in exported.said(exported.record(tmp_path / "a.run", 3))}
-    assert written | {"removed", "rebooted"} == set(
+    assert written | {"removed", "rebooted", "misdated"} == set(
         re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`[^|]*) \|", log_table(), re.MULTILINE)))
     )
     names = {
