@@ -10,7 +10,7 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from bench.conform.catalogue import chosen
 from bench.conform.checks import Carrier, Check, Result
@@ -63,7 +63,7 @@ class Run:
     unsafe: str = ""
     ended: str = ""
     loses: str = ""
-    """What the link loses, if it does: then no failure is the device's."""
+    """That the link loses frames, and what was seen of it: then no failure is the device's."""
     signal: int = 0
     troubles: list[str] = field(default_factory=list)
 
@@ -213,10 +213,18 @@ class _Course:
 
     def _doubted(self, check: Check, evidence: str) -> tuple[Verdict, str]:
         """A failure, unless the link may be the cause: it loses frames, or all goes well at the second attempt."""
-        self._run.loses = self._run.loses or self._device.probe.loses()
-        if self._run.loses:
+        run = self._run
+        if not run.loses and (found := self._device.probe.loses()):
+            run.loses = f"the link may be the cause ({found})"
+            run.results = [
+                replace(each, verdict=Verdict.INVALID, evidence=f"{run.loses}: {each.evidence}")
+                if each.verdict is Verdict.FAIL
+                else each
+                for each in run.results
+            ]
+        if run.loses:
             self._device.probe.mute.clear()
-            return Verdict.INVALID, f"the link may be the cause ({self._run.loses}): {evidence}"
+            return Verdict.INVALID, f"{run.loses}: {evidence}"
         if check.critical:  # nothing is energised any more
             return Verdict.FAIL, evidence
         self._device.kept.clear()

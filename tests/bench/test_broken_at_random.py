@@ -33,7 +33,13 @@ NOT_OK = {
 }
 """Faults with which a command must not end well, however well the link works."""
 OF_THE_MOTOR = {case.faults for case in TABLES["motors"]} | {"nan-samples", "overcurrent"}
-OF_THE_HALLS = OF_THE_MOTOR | {"edges-uncounted", "hall-as-read", "hall-set-is-an-edge", "edges-after-samples", "n-p-zero"}
+OF_THE_HALLS = OF_THE_MOTOR | {
+    "edges-uncounted",
+    "hall-as-read",
+    "hall-set-is-an-edge",
+    "edges-after-samples",
+    "n-p-zero",
+}
 ACCUSATIONS = {
     r"has rebooted|reboots": {"reboots", "tick-back"},
     r"result +implausible: (?!the drive contradicts)": OF_THE_MOTOR | {"samples-of-the-future", "samples-of-the-past"},

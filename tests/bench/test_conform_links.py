@@ -26,7 +26,12 @@ TROUBLES = {
     "an outage": Trouble(outages=((1.0, 1.6),)),
     "outages": Trouble(outages=((0.5, 0.9), (2.0, 2.3), (5.0, 6.0))),
 }
-CASES = [(link, name) for link in ("bytes", "CAN") for name in TROUBLES if link == "bytes" or name not in ("damaged", "a third lost")]
+CASES = [
+    (link, name)
+    for link in ("bytes", "CAN")
+    for name in TROUBLES
+    if link == "bytes" or name not in ("damaged", "a third lost")
+]
 
 
 def on_link(link: str, trouble: Trouble, level: int, faults: tuple[str, ...] = ()) -> Run:
