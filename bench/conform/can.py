@@ -54,7 +54,7 @@ def _silent(device: Device, records: Sequence[bytes], what: str) -> str:
     return device.probe.silence(b"".join(records), what)
 
 
-@bus("transfer", "16.13")
+@bus("transfer", "16.13", needs=0)
 def transfer(device: Device) -> str:
     """A request in several frames is reassembled."""
     frame, records = _request(device)
@@ -62,35 +62,35 @@ def transfer(device: Device) -> str:
     return f"{len(records)} frames: {answer}"
 
 
-@bus("crc", "16.16")
+@bus("crc", "16.16", needs=0)
 def crc(device: Device) -> str:
     """A transfer with a wrong CRC is not answered."""
     _, records = _request(device)
     return _silent(device, [changed(records[0], 3, 1), *records[1:]], "a transfer with a changed bit")
 
 
-@bus("length", "16.16")
+@bus("length", "16.16", needs=0)
 def length(device: Device) -> str:
     """A single-frame transfer with a wrong len is not answered."""
     (record,) = cut(device.bus.encode(device.probe.frame(MessageType.TIME_SYNC)))
     return _silent(device, [changed(record, 4, 0x40)], "a single-frame transfer with a wrong len")
 
 
-@bus("toggle", "16.16")
+@bus("toggle", "16.16", needs=0)
 def toggle(device: Device) -> str:
     """A transfer with a wrong toggle is not answered."""
     _, records = _request(device)
     return _silent(device, [records[0], changed(records[1], -1, 0x20), *records[2:]], "a transfer with a wrong toggle")
 
 
-@bus("transfer-id", "16.16")
+@bus("transfer-id", "16.16", needs=0)
 def transfer_id(device: Device) -> str:
     """A transfer whose transfer id changes is not answered."""
     _, records = _request(device)
     return _silent(device, [records[0], changed(records[1], -1, 0x07), *records[2:]], "a transfer with two ids")
 
 
-@bus("first-frame-missing", "16.17")
+@bus("first-frame-missing", "16.17", needs=0)
 def first_frame_missing(device: Device) -> str:
     """A transfer without its first frame is ignored, and not counted."""
     _, records = _request(device)
@@ -101,7 +101,7 @@ def first_frame_missing(device: Device) -> str:
     return f"{words}; rx_bad unchanged"
 
 
-@bus("first-frame-again", "16.16")
+@bus("first-frame-again", "16.16", needs=0)
 def first_frame_again(device: Device) -> str:
     """An incomplete transfer is abandoned for the next one, which is answered."""
     _, records = _request(device)
@@ -110,7 +110,7 @@ def first_frame_again(device: Device) -> str:
     return f"after the first frame of another transfer: {answer}"
 
 
-@bus("damage-is-counted", "16.17")
+@bus("damage-is-counted", "16.17", needs=0)
 def damage_is_counted(device: Device) -> str:
     """rx_bad counts each damaged or abandoned transfer once, whatever is wrong with it."""
     (single,) = cut(device.bus.encode(device.probe.frame(MessageType.TIME_SYNC)))
@@ -129,7 +129,7 @@ def damage_is_counted(device: Device) -> str:
     return f"rx_bad counted one for each of {', '.join(kinds)}"
 
 
-@bus("repeated-frame", "16.15")
+@bus("repeated-frame", "16.15", needs=0)
 def repeated_frame(device: Device) -> str:
     """A frame received twice in a row is taken once."""
     probe = device.probe
@@ -143,7 +143,7 @@ def repeated_frame(device: Device) -> str:
     return "a TIME_SYNC whose frame was sent twice in a row was answered once"
 
 
-@bus("ids-count", "16.12")
+@bus("ids-count", "16.12", needs=0)
 def ids_count(device: Device) -> str:
     """The transfer ids of replies are consecutive, and so are those of heartbeats."""
     found = [device.probe.ask(MessageType.TIME_SYNC, tries=1).heard.transfer for _ in range(6)]
@@ -157,7 +157,7 @@ def ids_count(device: Device) -> str:
     return f"six replies have transfer ids {', '.join(map(str, found))}; heartbeats {', '.join(map(str, beats))}"
 
 
-@bus("frames-sent", "16.1 16.14 16.27")
+@bus("frames-sent", "16.1 16.14 16.27", needs=0)
 def frames_sent(device: Device) -> str:
     """Frames are of the kind of the bus, and bytes that fill an FD frame up are 0."""
     line = device.bus
@@ -165,7 +165,7 @@ def frames_sent(device: Device) -> str:
     device.probe.ask(MessageType.BLOB_READ, REQUEST)
     device.probe.ask(MessageType.TIME_SYNC)
     device.probe.beat()
-    own = [(flags, part) for flags, parts, part in line.records if parts.node == device.probe.node]
+    own = [(flags, part) for flags, parts, part in line.records if part and parts.node == device.probe.node]
     for flags, part in own:
         if bool(flags & FDF) != line.rates.fd or (line.rates.fd and not flags & BRS):
             kind = f"FD, bit-rate switch {bool(flags & BRS)}" if flags & FDF else "classic"
@@ -176,7 +176,7 @@ def frames_sent(device: Device) -> str:
     return f"{len(own)} frames of the kind of the bus"
 
 
-@bus("classic-accepted", "16.1")
+@bus("classic-accepted", "16.1", needs=0)
 def classic_accepted(device: Device) -> str:
     """On an FD bus, a classic frame is taken."""
     line, probe = device.bus, device.probe
@@ -189,7 +189,7 @@ def classic_accepted(device: Device) -> str:
     return accepted(answer, "a TIME_SYNC in a classic frame")
 
 
-@bus("status-slots", "16.10")
+@bus("status-slots", "16.10", needs=0)
 def status_slots(device: Device) -> str:
     """What a device sends unasked is on the identifier of its type; refusals of ALIVE go to host 0."""
     probe, line = device.probe, device.bus
@@ -204,7 +204,7 @@ def status_slots(device: Device) -> str:
     return f"{len(probe.heard)} messages on the identifiers of their types; a refusal of ALIVE went to host 0"
 
 
-@bus("kept-transfer-id", "16.18")
+@bus("kept-transfer-id", "16.18", needs=0)
 def kept_transfer_id(device: Device) -> str:
     """A kept reply is sent again with its original transfer id."""
     probe = device.probe
@@ -216,7 +216,7 @@ def kept_transfer_id(device: Device) -> str:
     return f"BLOB_READ repeated: transfer id {again.heard.transfer} again"
 
 
-@bus("node-0-hello", "16.7")
+@bus("node-0-hello", "16.7", needs=0)
 def node_0_hello(device: Device) -> str:
     """A HELLO to node 0 is answered with the device's own node."""
     probe = device.probe
@@ -230,14 +230,14 @@ def node_0_hello(device: Device) -> str:
     return f"answered by nodes {', '.join(map(str, nodes))}"
 
 
-@bus("node-0-others", "16.7")
+@bus("node-0-others", "16.7", needs=0)
 def node_0_others(device: Device) -> str:
     """Only HELLO is answered at node 0."""
     wire = device.bus.broadcast(device.probe.frame(MessageType.TIME_SYNC))
     return device.probe.silence(wire, "a TIME_SYNC to node 0")
 
 
-@bus("other-node", "16.3")
+@bus("other-node", "16.3", needs=0)
 def other_node(device: Device) -> str:
     """A message to another node is not answered."""
     probe = device.probe
@@ -252,7 +252,7 @@ def other_node(device: Device) -> str:
     return f"a TIME_SYNC to node {node} was not answered by node {probe.node}"
 
 
-@bus("identifier-of-type", "16.11")
+@bus("identifier-of-type", "16.11", needs=0)
 def identifier_of_type(device: Device) -> Iterator[str]:
     """A request on the identifier of ALIVE, or of class 7, is not answered."""
     node = device.probe.node
@@ -264,7 +264,7 @@ def identifier_of_type(device: Device) -> Iterator[str]:
         yield device.probe.silence(wire, f"a TIME_SYNC on {name}")
 
 
-@bus("other-form", "16.4")
+@bus("other-form", "16.4", needs=0)
 def other_form(device: Device) -> str:
     """Identifiers of the other form, and remote frames, are ignored."""
     line, probe = device.bus, device.probe
@@ -276,7 +276,7 @@ def other_form(device: Device) -> str:
     return f"{words}; {probe.silence(wire, 'a remote frame')}"
 
 
-@bus("host-numbers", "16.9 16.10")
+@bus("host-numbers", "16.9 16.10", needs=0)
 def host_numbers(device: Device) -> str:
     """Another host is answered on its own identifier, and does not affect this host's kept replies."""
     probe, line = device.probe, device.bus
@@ -393,12 +393,25 @@ def groups(device: Device) -> str:
             raise Failed(f"a frame in slot {frame.slot}: the {n} groups have slots from {told.reply.slot} on")
         if len(frame.data) != lengths[group]:
             raise Failed(f"a frame of group {group} has {len(frame.data)} bytes, not {lengths[group]}")
+    size, first, others = layout_counter(device), b"", 0
+    for frame in frames:
+        if frame.slot == told.reply.slot:
+            first = frame.data[:size]
+        elif first and frame.data[:size] != first:
+            others += 1
+    if others > len(frames) / 4:
+        raise Failed(f"{others} of {len(frames)} frames have another counter than the first group of their sample")
     samples = bus_samples(device, told, chosen)
     per_sample = len(frames) / n * told.reply.block
     if len(samples) < per_sample - 2 * told.reply.block:
         raise Failed(f"{len(frames)} frames of {n} groups make only {len(samples)} whole samples by their counters")
     words = f"{counted(len(chosen), 'channel')} in {counted(n, 'group')}"
     return f"{words}: {len(frames)} frames of {lengths} bytes, {len(samples)} samples"
+
+
+def layout_counter(device: Device) -> int:
+    """Bytes of the counter of samples."""
+    return 4 if device.bus.rates.fd else 2
 
 
 def _some_groups(device: Device) -> tuple[Channel, ...]:

@@ -292,6 +292,8 @@ def _instants(device: Device, told: Configured, chosen: tuple[Channel, ...]) -> 
     if device.probe.line.bus:
         return bus_samples(device, told, chosen)
     size, decimation = sum(map(width, chosen)), told.asked.decimation
+    if any(len(block.data) != block.n * size for block in device.blocks(told.asked.stream)):
+        raise Unknown("frames do not have as many records as they say: see stream.frame-fields")
     return {
         block.index + k * decimation: block.data[k * size : (k + 1) * size]
         for block in device.blocks(told.asked.stream)
@@ -307,7 +309,7 @@ def bus_samples(device: Device, told: Configured, chosen: tuple[Channel, ...]) -
     size = layout.groups[-1][1]
     for frame in device.probe.stream_frames:
         group = (frame.slot - told.reply.slot) % 32
-        if frame.edges or group >= len(layout.groups):
+        if frame.edges or group >= len(layout.groups) or len(frame.data) < layout.used(group):
             continue
         counter = int.from_bytes(frame.data[: layout.counter], "little")
         step = told.asked.decimation if fd else 1

@@ -337,8 +337,8 @@ def heartbeat_clock(device: Device) -> str:
 
 @check("log", "0.3")
 def log(device: Device) -> str:
-    """LOG has a level and text of UTF-8."""
-    _beats(device)
+    """LOG has a level and text of UTF-8 without control characters."""
+    device.probe.listen(0.25)
     lines = [each.frame for each in device.probe.heard if each.frame.type == MessageType.LOG]
     if not lines:
         raise NotApplicable("it sent no LOG")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bench.conform.checks import Carrier, Group
 from bench.conform.data import edges_ahead, late
-from bench.conform.device import PATIENCE, Block, Configured, Device, ids, require_granted
+from bench.conform.device import EDGE_BYTES, PATIENCE, Block, Configured, Device, ids, require_granted
 from bench.conform.levels import MOTION
 from bench.conform.probe import accepted, read, state_name
 from bench.conform.setpoints import NO_MODE, code_name, is_taken, send
@@ -39,6 +39,8 @@ ALONE, ALONE_MS = 0.8, 60  # s for which it turns with a stream of edges alone, 
 STRETCH = 0.25  # s in which motion is measured
 TWITCH = math.radians(60)  # that a shaft without a setpoint may turn
 COASTS = 24  # STRETCHes that a shaft may need to come to rest
+USUAL_POLE_PAIRS = 10.0  # where no parameter tells them
+PER_TURN = 2.5  # samples of an electrical turn that show its direction
 LITTLE = 2.0**-10  # A: no motor turns by it
 COMMON = 1.05  # a setpoint beyond a limit, over that
 
@@ -115,10 +117,11 @@ def _turn(device: Device) -> Turn:
     mask = 1 if device.offers_edges else 0
     told = None
     if device.descriptor.channels:
-        told = device.configure(1, ids([channel or device.descriptor.channels[0]]), RATE, LATENCY_MS)
+        followed = [channel or device.descriptor.channels[0]]
+        told = device.configure(1, ids(followed), RATE, LATENCY_MS, light=False)
         mask |= 2
     device.start_streams(mask)
-    watch = _Watch(device, channel if told else None, told.reply.slot if told else 0, slot)
+    watch = _Watch(device, channel, told, slot)
     with device.probe.watched(watch.look):
         spin(device)
         device.probe.listen(TURNS)
@@ -137,21 +140,30 @@ def _turn(device: Device) -> Turn:
             late = str(failure)
         except Unknown:
             ahead = ""
-    travel = _travel(device, channel, told.reply.slot if told else 0)
+    travel = _travel(device, channel, told.reply.slot) if told and _often_enough(device, told) else math.nan
     blocks = [block for block in device.blocks(0) if block.edges]
     state = read(answer.frame, StateReply).state
     ended = device.probe.tick()[1]
     return Turn(_edges(device, slot), blocks, travel, beats, edges, ahead, late, stopped, state, ended)
 
 
+def _often_enough(device: Device, told: Configured) -> bool:
+    """Whether an angle that is sampled like this shows which way it turns at the speed that was announced."""
+    record = device.named("n_p")
+    pairs = USUAL_POLE_PAIRS if record is None else device.parameter(record).value
+    return device.pwm_hz / told.asked.decimation > PER_TURN * device.speed_rpm / 60 * pairs
+
+
 class _Watch:
     """Looks whether the motor runs away while it turns; its drive tells its pole pairs, or nothing is looked at."""
 
-    def __init__(self, device: Device, channel: Channel | None, slot: int, edge_slot: int | None) -> None:
-        self._device, self._channel, self._slots = device, channel, (slot, edge_slot)
+    def __init__(self, device: Device, channel: Channel | None, told: Configured | None, edge_slot: int | None) -> None:
+        self._device, self._slots = device, (told.reply.slot if told else 0, edge_slot)
+        self._channel = channel if told and _often_enough(device, told) else None
+        self._rate = device.pwm_hz / told.asked.decimation if told else math.nan
         names = ("n_p", "omega_m_max")
-        told = {name: device.parameter(record).value for name in names if (record := device.named(name))}
-        self._runaway = Runaway(pole_pairs(told), lambda: told.get("omega_m_max", 0.0))
+        values = {name: device.parameter(record).value for name in names if (record := device.named(name))}
+        self._runaway = Runaway(pole_pairs(values), lambda: values.get("omega_m_max", 0.0))
         self._runaway.ask(device.speed_rpm * RPM)
         self._seen = (0, 0)  # how many messages, and frames of streams on a bus, were looked at
         self._edge: tuple[int, int] | None = None  # tick and codes of the last one
@@ -172,7 +184,7 @@ class _Watch:
         if self._channel is not None:
             angles = np.concatenate([self._angles[-1:], _angles(device, self._channel, slot, since)])
             if len(angles) > 1:
-                self._runaway.by_encoder(now, (len(angles) - 1) / RATE, _turned_by(angles))
+                self._runaway.by_encoder(now, (len(angles) - 1) / self._rate, _turned_by(angles))
             self._angles = angles
         self._runaway.judge(now)
         if words := self._runaway.verdict:
@@ -192,6 +204,8 @@ def _edges(device: Device, slot: int | None, since: tuple[int, int] = (0, 0)) ->
             ]
     for frame in device.probe.stream_frames[since[1] :]:
         if frame.edges and frame.slot == slot:
+            if len(frame.data) < EDGE_BYTES:
+                raise Failed(f"a frame of edges has {len(frame.data)} bytes")
             tick, codes, index, encoder = struct.unpack_from("<IBBH", frame.data)
             found.append(Edge(index, tick, codes, 0, encoder, frame.at))
     return found
@@ -365,7 +379,11 @@ def edge_head(device: Device) -> str:
 @check("edge-index", "11.36")
 def edge_index(device: Device) -> str:
     """The index of an edge is the number of edges before it, by a heartbeat between the two."""
-    edges, beats = _some(device), turned(device).beats
+    return _same_counts(device, _some(device), turned(device).beats)
+
+
+def _same_counts(device: Device, edges: list[Edge], beats: list[Heartbeat]) -> str:
+    """Evidence that each heartbeat has the index of the edge that follows. Raises Failed, Unknown."""
     size = 256 if device.probe.line.bus else 1 << 32
     looked = 0
     for beat in beats:
@@ -408,13 +426,13 @@ def edge_encoder(device: Device) -> str:
 FORWARD = set(pairwise((1, 3, 2, 6, 4, 5, 1)))
 
 
-@check("edges-alone", "11.11 11.16")
+@check("edges-alone", "11.11 11.16 11.36")
 def edges_alone(device: Device) -> str:
     """A stream of edges alone has all edges, none later than max_latency_ms."""
     device.require_edges()
     told = device.configure_edges(0, latency_ms=ALONE_MS)
     device.start_streams(1)
-    with device.probe.watched(_Watch(device, None, 0, told.reply.slot).look):
+    with device.probe.watched(_Watch(device, None, None, told.reply.slot).look):
         spin(device)
         device.probe.listen(ALONE)
     device.probe.stop()
@@ -430,6 +448,7 @@ def edges_alone(device: Device) -> str:
         raise Failed(words)
     if not counted:
         raise Unknown("no edges: the motor did not turn")
+    words += f"; {_same_counts(device, edges, beats)}"
     return f"{words}; {late(device, [(edge.at, edge.tick) for edge in came], ALONE_MS, 'edges')}"
 
 
@@ -438,7 +457,7 @@ def undisturbed(device: Device) -> str:
     """HELLO, START, refused requests and rejected setpoints leave the speed as it is."""
     probe = device.probe
     motion = _Motion(device)
-    with probe.watched(_Watch(device, motion.channel, motion.slot, None).look):
+    with probe.watched(_Watch(device, motion.channel, motion.told, None).look):
         spin(device)
         probe.listen(RUN_UP)
         before = motion.turned()
@@ -465,7 +484,7 @@ def starts_at_rest(device: Device) -> str:
     motion = _Motion(device)
     words = []
     for what, turns, trips in (("STOP", True, False), ("a fault", True, True), ("setpoints before it", False, False)):
-        with probe.watched(_Watch(device, motion.channel, motion.slot, None).look):
+        with probe.watched(_Watch(device, motion.channel, motion.told, None).look):
             if turns:
                 spin(device)
                 probe.listen(RUN_UP)
@@ -493,17 +512,14 @@ class _Motion:
 
     def __init__(self, device: Device) -> None:
         self._device, self.channel = device, reference(device)
-        self._told: Configured | None = None
+        self.told: Configured | None = None
         if self.channel is not None:
-            self._told = device.configure(1, ids([self.channel]), RATE, LATENCY_MS)
+            self.told = device.configure(1, ids([self.channel]), RATE, LATENCY_MS, light=False)
+            if not _often_enough(device, self.told):
+                raise Unknown("the link is too slow for samples that show how the motor turns")
             device.start_streams(2)
         elif not device.offers_edges:
             raise Unknown("the device has neither encoder nor edges by which its motion shows")
-
-    @property
-    def slot(self) -> int:
-        """Of the stream on CAN."""
-        return self._told.reply.slot if self._told else 0
 
     def turned(self) -> float:
         """Electrical rad by which it turns from now on in STRETCH s."""
@@ -514,7 +530,7 @@ class _Motion:
             return ((device.fresh().edges - before) & 0xFFFFFFFF) * math.pi / 3
         since = (len(probe.heard), len(probe.stream_frames))
         probe.listen(STRETCH)
-        angles = _angles(device, self.channel, self.slot, since)
+        angles = _angles(device, self.channel, self.told.reply.slot if self.told else 0, since)
         if len(angles) < 2:
             raise Unknown(f"{len(angles)} samples of {self.channel.name} received within {STRETCH:g} s")
         return _turned_by(angles)

@@ -145,6 +145,9 @@ def get(device: Device) -> str:
     """STREAM_GET returns the last configuration, and whether the stream is running."""
     chosen = ids(device.channels[:2])
     device.configure(0, chosen[:1], SLOW_HZ / 2)
+    anew = device.stream_set(0, chosen, MAX_DECIMATION)
+    if anew.error is not None and anew.error.code == ErrorCode.BUSY:
+        raise Failed(f"STREAM_SET of a stream that is configured, and not running: {anew}")
     told = device.configure(0, chosen, SLOW_HZ, latency_ms=30)
     for running in (False, True):
         if running:
@@ -161,10 +164,10 @@ def get(device: Device) -> str:
     words = f"cfg_id {told.reply.cfg_id}, decimation {told.asked.decimation}, channels {chosen}, running 0, then 1"
     if not device.offers_edges:
         return words
-    reply = device.configure_edges(3, decimation=7, latency_ms=9).reply
+    reply = device.configure_edges(3, decimation=7, latency_ms=90).reply
     info = device.probe.get(StreamGet(3), StreamInfo)
     edges = StreamInfo(
-        stream=3, running=False, event=StreamEvent.EDGES, slot=reply.slot, decimation=7, max_latency_ms=9,
+        stream=3, running=False, event=StreamEvent.EDGES, slot=reply.slot, decimation=7, max_latency_ms=90,
         cfg_id=reply.cfg_id, sample_bytes=8, block=reply.block, tick0=reply.tick0, channels=(),
     )  # fmt: skip
     if info != edges:
@@ -231,6 +234,9 @@ def stop_frees(device: Device) -> str:
 def numbers(device: Device) -> Iterator[str]:
     """Each of the streams 0 to 3 can be configured, alone, and its frames have its number."""
     for number in range(4):
+        answer = device.stream_set(number, ids(device.channels[:1]), MAX_DECIMATION)
+        if answer.error is not None and answer.error.code == ErrorCode.OUT_OF_RANGE:
+            raise Failed(f"stream {number}: {answer}")
         told = device.configure(number, ids(device.channels[:1]), SLOW_HZ)
         info = device.probe.get(StreamGet(number), StreamInfo)
         if (told.reply.stream, info.stream, info.cfg_id) != (number, number, told.reply.cfg_id):

@@ -70,20 +70,22 @@ class Violation:
         return f"{re.sub(r'[^a-z0-9]+', '-', self.name.lower())[:40]}-{made}"
 
 
-def violations() -> list[Violation]:
-    """All of them, those in C first."""
-    return [*in_c(), *_by_faults()]
+def violations(both: bool = False) -> list[Violation]:
+    """All of them, those in C first; see `in_c`."""
+    return [*in_c(both), *_by_faults()]
 
 
-def in_c() -> Iterator[Violation]:
-    """Those of the device side in C."""
+def in_c(both: bool = False) -> Iterator[Violation]:
+    """Those of the device side in C; what is the same on all links is tried on bytes and CAN by turns, or on `both`."""
+    links, turns = ("bytes", "CAN"), 0
     for chapter, rows in tomllib.loads((TABLES / "conform_mutants.toml").read_text()).items():
         for row in rows:
             checks = (row["check"],) if isinstance(row["check"], str) else tuple(row["check"])
             for each in row.get("each", ("",)):
                 changes = tuple((old, new.replace("{}", each) if each else new)
                                 for old, new in ((row["old"], row["new"]), *row.get("also", ())))  # fmt: skip
-                for link in row.get("on", ("bytes", "CAN")):
+                turns += 1
+                for link in row.get("on", links if both else (links[turns % 2],)):
                     name = row["name"].replace("{}", each)
                     yield Violation(name, int(chapter), checks, link, row.get("file", "hbp.c"), changes)
 
@@ -174,8 +176,9 @@ def main() -> int:
     """Run what has no result yet, and write the figures where all have one; 1 if less than 95 % are found."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="violations whose names have this in them")
-    names = parser.parse_args().names
-    every = violations()
+    parser.add_argument("--both", action="store_true", help="on a serial link and on CAN, where it is the same on both")
+    options = parser.parse_args()
+    names, every = options.names, violations(options.both)
     chosen = [each for each in every if not names or any(name in each.name for name in names)]
     rows = []
     for k, each in enumerate(chosen, 1):

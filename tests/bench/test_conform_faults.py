@@ -45,7 +45,7 @@ def left_out(check: str) -> set[str]:
     return ({*OVERLOADED} | of_states) - {check}
 
 
-IN_C = {f"{v.chapter}: {v.name}, {v.link}": v for v in in_c()}
+IN_C = {f"{v.chapter}: {v.name}, {v.link}": v for v in in_c(both=True)}
 
 
 @needs("C compiler")

@@ -336,6 +336,83 @@ for _code in (Code.OUT_OF_RANGE, Code.WRONG_STATE, Code.BAD_VALUE):
     fault(_name, "Every setpoint is rejected with this code.", set_point=refuses(_code, 10))
 fault("setpoint-clipped", "A setpoint beyond the limit is made the limit.", set_point=_clipped)
 
+
+def _kept_setpoint(*after: State) -> dict[str, Callable[..., Any]]:
+    """RUNNING begins with the last setpoint where it was left for these states."""
+
+    def enter(self: Any, as_usual: Callable[[State], None], state: State) -> None:
+        if self.state == State.RUNNING and state != State.RUNNING:
+            self.before = getattr(self, "last", None) if state in after else None
+        as_usual(state)
+
+    def set_point(self: Any, as_usual: Callable[..., None], *given: float) -> None:
+        as_usual(*given)
+        self.last = self.motor.setpoint
+
+    return {"enter": enter, "set_point": set_point,
+            "at_start": lambda self, at_start: getattr(self, "before", None) or at_start()}  # fmt: skip
+
+
+def _early_setpoint(self: Any, set_point: Callable[..., None], mode: int, value: float, value2: float) -> None:
+    self.early = (Mode.SPEED, value) if self.state == State.ARMED else None
+    set_point(mode, value, value2)
+
+
+def _rest_after(step: str) -> dict[str, Callable[..., Any]]:
+    """This step sets the setpoint in use back to zero."""
+
+    def does(self: Device, as_usual: Callable[..., Any], *given: Any) -> Any:
+        if self.motor.setpoint is not None:
+            self.motor.setpoint = Mode.CURRENT, 0.0
+        return as_usual(*given)
+
+    return {step: does}
+
+
+def _limited(beyond: Callable[[Device, int, float, float], float | None]) -> Callable[..., None]:
+    """Setpoints that are refused by `beyond` too, with what it gives, or taken where the usual limits refuse them."""
+
+    def set_point(self: Device, as_usual: Callable[..., None], mode: int, value: float, value2: float) -> None:
+        limit = beyond(self, mode, value, value2)
+        try:
+            as_usual(mode, value, value2)
+        except Refusal as refusal:
+            if refusal.code != Code.OUT_OF_RANGE or limit is not None:
+                raise
+            self.motor.setpoint = Mode(mode), value
+            return
+        if limit:
+            raise Refusal(Code.OUT_OF_RANGE, limit)
+
+    return set_point
+
+
+def _of(self: Device, mode: int) -> float:
+    return self.value("omega_m_max" if mode == Mode.SPEED else "i_max")
+
+
+fault("setpoint-kept-over-stop", "RUNNING begins with the setpoint before STOP.", **_kept_setpoint(State.IDLE))
+fault("setpoint-kept-over-fault", "RUNNING begins with the setpoint before a fault.", **_kept_setpoint(State.FAULT))
+fault(
+    "setpoint-before-start",
+    "A setpoint in ARMED is rejected, and used from START on.",
+    set_point=_early_setpoint,
+    at_start=lambda self, at_start: getattr(self, "early", None) or at_start(),
+)
+fault("rejection-sets-zero", "A rejected setpoint sets the one in use to zero.", **_rest_after("reject"))
+fault("hello-sets-zero", "HELLO sets the setpoint in use to zero.", **_rest_after("hello"))
+fault("start-sets-zero", "START in RUNNING sets the setpoint in use to zero.", **_rest_after("start"))
+fault("limit-excluded", "The limit itself is rejected.",
+      set_point=_limited(lambda self, mode, value, _: _of(self, mode) * (abs(value) >= _of(self, mode))))  # fmt: skip
+fault("limit-forward-only", "A setpoint beyond the limit in reverse is taken.",
+      set_point=_limited(lambda self, mode, value, _: None if value < 0 else 0.0))  # fmt: skip
+fault("current-by-component", "i_q and i_d are within i_max each, and the vector may be beyond it.",
+      set_point=_limited(lambda self, mode, q, d: 0.0 if mode == Mode.SPEED or max(abs(q), abs(d)) > _of(self, mode)
+                         else None))  # fmt: skip
+fault("current-of-q", "i_d may be beyond i_max.",
+      set_point=_limited(lambda self, mode, q, d: 0.0 if mode == Mode.SPEED or abs(q) > _of(self, mode)
+                         else None))  # fmt: skip
+
 # -- numbers ----------------------------------------------------------------------------------------------------------
 
 
@@ -766,6 +843,89 @@ fault(
 fault("busy-ignored", "A running stream can be configured anew.", stream_set=_busy_ignored)
 fault("stop-drops", "STREAM_STOP throws away what waits.", stream_stop=_stop_drops)
 fault("edges-after-samples", "Edges wait for 30 ms; samples do not wait for them.", flush=_edges_late)
+
+
+class EncoderStill(Stream):
+    def put_edges(self, edges: Iterable[Any], count: int) -> None:
+        super().put_edges([replace(edge, encoder=77) for edge in edges], count)
+
+
+class EncoderAtSamples(Stream):
+    def put_edges(self, edges: Iterable[Any], count: int) -> None:
+        super().put_edges([replace(edge, encoder=edge.tick & 0xFFFF) for edge in edges], count)
+
+
+class CodesOfSectors(Stream):
+    def put_edges(self, edges: Iterable[Any], count: int) -> None:
+        super().put_edges([replace(edge, before=7 - edge.after) for edge in edges], count)
+
+
+class EdgesFromZero(Stream):
+    def put_edges(self, edges: Iterable[Any], count: int) -> None:
+        self.first = getattr(self, "first", count)
+        super().put_edges(edges, count - self.first)
+
+
+class IllegalAlways(Stream):
+    def put_edges(self, edges: Iterable[Any], count: int) -> None:
+        super().put_edges([replace(edge, after=edge.after | 8) for edge in edges], count)
+
+
+def _with_samples_only(self: Device, flush: Callable[..., None], stream: Stream, everything: bool = False) -> None:
+    if not stream.edges or any(other.running and not other.edges for other in self.streams.values()):
+        flush(stream, everything)
+
+
+def _runs_at_once(self: Device, stream_set: Callable[..., bytes], message: Message, peer: Peer) -> bytes:
+    reply = stream_set(message, peer)
+    self.streams[message.payload[0]].running = True
+    return reply
+
+
+def _says_configured(self: Any, stream_get: Callable[..., bytes], message: Message, peer: Peer) -> bytes:
+    reply = stream_get(message, peer)
+    return reply[:1] + bytes([message.payload[0] in getattr(self, "started", ())]) + reply[2:]
+
+
+def _other_room(self: Device, stream_set: Callable[..., bytes], message: Message, peer: Peer) -> bytes:
+    try:
+        return stream_set(message, peer)
+    except Refusal as refusal:
+        raise Refusal(refusal.code, refusal.detail + 16 * (refusal.code == Code.DOES_NOT_FIT)) from None
+
+
+def _odd_log(self: Device, heartbeat: Callable[[], None]) -> None:
+    heartbeat()
+    self.log(b"a line\n", 6)
+
+
+fault("encoder-still", "Every edge has the encoder count 77.", EncoderStill)
+fault("encoder-of-time", "The encoder count of an edge is its tick.", EncoderAtSamples)
+fault("codes-before-wrong", "The code before an edge is made of the code after.", CodesOfSectors)
+fault("edges-from-zero", "The index of edges begins with the stream.", EdgesFromZero)
+fault("illegal-always", "Every edge is marked as illegal.", IllegalAlways)
+fault("edges-with-samples", "Edges are sent only while samples are, too.", flush=_with_samples_only)
+fault("streams-run-at-once", "A stream sends as soon as it is configured.", stream_set=_runs_at_once,
+      stream_get=_says_configured)  # fmt: skip
+fault("room-with-header", "A sample that is too long is told the room with the header.", stream_set=_other_room,
+      words=lambda self, _, words: replace(words, channels=SIX_HUNDRED))  # fmt: skip
+fault("log-with-newline", "LOG ends with a new line.", heartbeat=_odd_log)
+fault(
+    "truth-of-hardware",
+    "A physical drive has a channel with TRUTH.",
+    words=lambda self, _, words: replace(
+        words, channels=(replace(words.channels[0], flags=words.channels[0].flags | Flag.TRUTH), *words.channels[1:])
+    ),
+)
+fault("hall-set-any-time", "The Hall parameters are not IDLE_ONLY.", words=lambda self, _, words: replace(
+    words, parameters=tuple(replace(row, flags=row.flags & ~Flag.IDLE_ONLY) if "hall" in str(row.name) else row
+                            for row in words.parameters)))  # fmt: skip
+fault("status-of-nothing", "The channel `status` holds 0.", words=lambda self, _, words: replace(
+    words, channels=tuple(replace(row, values=lambda s: np.zeros(len(s.index))) if row.name == "status" else row
+                          for row in words.channels)))  # fmt: skip
+fault("angles-unwrapped", "An angle with WRAPS goes from 0 to 2 pi.", words=lambda self, _, words: replace(
+    words, channels=tuple(replace(row, raw=Raw.F32, scale=1.0, values=lambda s: s.theta % math.tau + math.pi)
+                          if row.flags & Flag.WRAPS else row for row in words.channels)))  # fmt: skip
 
 # -- CAN --------------------------------------------------------------------------------------------------------------
 
