@@ -21,7 +21,7 @@ DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
 MOST_PARAMETERS = 8
 MOST_LINES = 80
 COMPILED = {"kernel", "native", "intrinsic", "njit", "_kept"}
-MOST_CODE_LINES = {"bench": 28080, "sim": 8220, "protocol": 4620, "tests": 34160}
+MOST_CODE_LINES = {"bench": 29640, "sim": 8220, "protocol": 4620, "tests": 34760}
 """Whoever raises one says so in the commit."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -128,7 +128,7 @@ class Storeless(SmallDrive):
     """A small drive that stores nothing."""
 
     def commit(self) -> None:
-        raise Refused("no store", ErrorCode.NOT_SUPPORTED, MessageType.PARAM_COMMIT)
+        raise Refused("no store", ErrorCode.NOT_SUPPORTED)
 
 
 def loose(frame: Frame) -> tuple:
