@@ -150,7 +150,8 @@ class _Course:
         self._screen = screen
         self._told = told
         self._forbidden = forbidden  # why nothing is energised any more
-        self._hopeless = False  # no other check can say anything
+        self._hopeless = False  # no other check can say anything, by the last attempt
+        self._unanswered = False  # a request was not, in the last attempt
         self._began = device.probe.now()
 
     def go(self) -> None:
@@ -196,11 +197,11 @@ class _Course:
         if check.needs >= STATES and self._forbidden:
             return Result(check, Verdict.INVALID, f"not tried: {self._forbidden}")
         for attempt in range(1, ATTEMPTS + 1):
-            held, known, mute, forbidden = probe.held, dict(device.kept), dict(probe.mute), self._forbidden
+            held, known, mute = probe.held, dict(device.kept), dict(probe.mute)
             verdict, evidence = self._attempt(check)
             held = probe.held - held
             if held:  # what was measured meanwhile is not to be trusted
-                device.kept, probe.mute, self._forbidden = known, mute, forbidden
+                device.kept, probe.mute = known, mute
             if not held or verdict in (Verdict.PASS, Verdict.SKIPPED) or self._run.ended:
                 break
             if attempt == ATTEMPTS:
@@ -208,7 +209,7 @@ class _Course:
                 evidence = f"this program was held up for {held:.2f} s, at the last of {ATTEMPTS} attempts; {evidence}"
         if self._hopeless and verdict is Verdict.FAIL:
             self._run.ended = evidence
-        if check.critical and verdict is Verdict.FAIL:
+        if check.critical and (verdict is Verdict.FAIL or self._unanswered):
             self._forbidden = self._forbidden or f"{check.id} failed"
         return Result(check, verdict, evidence, probe.now() - began)
 
@@ -217,7 +218,7 @@ class _Course:
         device, probe = self._device, self._device.probe
         if check.id != "link.hello":
             device.hello = probe.connect()
-        verdict, evidence, self._hopeless = Verdict.PASS, "", False
+        verdict, evidence, self._hopeless, self._unanswered = Verdict.PASS, "", False, False
         if check.needs >= STATES:
             self._rig.drive.on = True  # from now on it gets a STOP
         probe.deadline = probe.now() + self._most(CHECK_TAKES, CHECK_BYTES)
@@ -227,8 +228,7 @@ class _Course:
             verdict, evidence = nothing.verdict, str(nothing)
             if check.id != (first := probe.mute.setdefault(nothing.kind, check.id)):
                 verdict, evidence = Verdict.INVALID, f"{evidence}, as {first} has found"
-            if check.critical:
-                self._forbidden = self._forbidden or f"{check.id}: {evidence}"
+            self._unanswered = True
         except Ended as ended:
             verdict, evidence = ended.verdict, str(ended)
             self._hopeless = isinstance(ended, Hopeless)
