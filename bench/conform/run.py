@@ -152,6 +152,8 @@ class _Course:
         self._screen = screen
         self._told = told
         self._forbidden = forbidden  # why nothing is energised any more
+        self._hopeless = False  # no other check can say anything, by the last attempt
+        self._unanswered = False  # a request was not, in the last attempt
         self._began = device.probe.now()
 
     def go(self) -> None:
@@ -197,18 +199,22 @@ class _Course:
         if check.needs >= STATES and self._forbidden:
             return Result(check, Verdict.INVALID, f"not tried: {self._forbidden}")
         for attempt in range(1, ATTEMPTS + 1):
-            held, known = probe.held, dict(device.kept)
+            held, known, mute = probe.held, dict(device.kept), dict(probe.mute)
             verdict, evidence = self._attempt(check)
             held = probe.held - held
-            device.kept = known if held else device.kept  # what was measured meanwhile is not to be trusted
+            if held:  # what was measured meanwhile is not to be trusted
+                device.kept, probe.mute = known, mute
             if not held or verdict in (Verdict.PASS, Verdict.SKIPPED) or self._run.ended:
                 break
             if attempt == ATTEMPTS:
                 verdict = Verdict.INVALID
                 evidence = f"this program was held up for {held:.2f} s, at the last of {ATTEMPTS} attempts; {evidence}"
+        if check.critical and (verdict is Verdict.FAIL or self._unanswered):
+            self._forbidden = self._forbidden or f"{check.id} failed"
         if verdict is Verdict.FAIL:
-            self._forbidden = self._forbidden or (f"{check.id} failed" if check.critical else "")
             verdict, evidence = self._doubted(check, evidence)
+        if self._hopeless and verdict is Verdict.FAIL:
+            self._run.ended = evidence
         return Result(check, verdict, evidence, probe.now() - began)
 
     def _doubted(self, check: Check, evidence: str) -> tuple[Verdict, str]:
@@ -238,7 +244,7 @@ class _Course:
         device, probe = self._device, self._device.probe
         if check.id != "link.hello":
             device.hello = probe.connect()
-        verdict, evidence = Verdict.PASS, ""
+        verdict, evidence, self._hopeless, self._unanswered = Verdict.PASS, "", False, False
         if check.needs >= STATES:
             self._rig.drive.on = True  # from now on it gets a STOP
         probe.deadline = probe.now() + self._most(CHECK_TAKES, CHECK_BYTES)
@@ -248,12 +254,10 @@ class _Course:
             verdict, evidence = nothing.verdict, str(nothing)
             if check.id != (first := probe.mute.setdefault(nothing.kind, check.id)):
                 verdict, evidence = Verdict.INVALID, f"{evidence}, as {first} has found"
-            if check.critical:
-                self._forbidden = self._forbidden or f"{check.id}: {evidence}"
+            self._unanswered = True
         except Ended as ended:
             verdict, evidence = ended.verdict, str(ended)
-            if isinstance(ended, Hopeless):
-                self._run.ended = evidence
+            self._hopeless = isinstance(ended, Hopeless)
         except PayloadError as error:
             verdict, evidence = Verdict.FAIL, str(error)
         except NotAtRest as error:

@@ -193,7 +193,7 @@ def main() -> int:
     found = sum(row["how"] == "found" for row in rows)
     print(f"{found} of {len(rows)} found ({100 * found / len(rows):.1f} %)")
     if not names:
-        FOUND.write_text(json.dumps(rows, indent=0) + "\n")
+        FOUND.write_text("[\n" + ",\n".join(map(json.dumps, rows)) + "\n]\n")
     return int(found < 0.95 * len(rows))
 
 

@@ -279,7 +279,7 @@ for _ms in (140, 300, 700, 2000):
 for _kind in (Type.TIME_SYNC, Type.BLOB_READ, Type.PARAM_GET, Type.PARAM_SET, Type.STATE_CMD, Type.STREAM_SET,
               Type.STREAM_GET, Type.STREAM_START, Type.STREAM_STOP):  # fmt: skip
     fault(f"mute-{_kind.name.lower().replace('_', '-')}", "Requests of this type get no answer.", answer=_mute(_kind))
-for _state in State:
+for _state in (State.IDLE, State.ARMED, State.RUNNING, State.FAULT):
     fault(f"stop-refused-{_state.name.lower()}", "STOP is refused in this state.", state_cmd=_stop_refused(_state))
 fault("stop-refused-argument", "STOP is refused with an argument.",
       state_cmd=_stop_refused(*State, argument=0xDEADBEEF))  # fmt: skip
