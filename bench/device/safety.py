@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from bench.device.client import Client
+from bench.device.client import HEARD, Client
 from bench.errors import UNSAFE, DriveFailed, OutputsMayBeOn
 from protocol.codes import fault_names
 from protocol.errors import HbpError, LinkError, NoReply, Refused
@@ -88,7 +88,8 @@ def switch_off(node: Node) -> DriveState:
             troubles.append(str(lie))
             lies.append(str(lie))
         except NoReply as error:
-            troubles.append(f"{_name(node)} did not answer STOP{str(error).partition(' tries')[2]}")
+            why = str(error).partition(" tries")[2]
+            troubles.append(f"{_name(node)} did not answer STOP{'' if HEARD in why else why}")
         except LinkError as error:
             troubles.append(f"STOP was not sent, or its answer not heard: {error}")
             if not _back(client):
@@ -172,7 +173,8 @@ class Vigil:
         self._node = node
         self._began = self._came = node.client.now()
         self._newest = node.client.heartbeats.get(node.number)
-        self._pauses = node.client.pauses  # of this program: what came meanwhile is still to be looked at
+        self._gaps = node.client.pauses, node.client.health.downtime
+        """Pauses of this program and outages of its link: what came meanwhile is still to be looked at."""
         self._boot = node.identity.boot_id
         self._seen_running = False
         self._dark = 0  # heartbeats in a row that say RUNNING with outputs off: one may be the first of a fault
@@ -185,8 +187,9 @@ class Vigil:
         client = self._node.client
         now, heartbeat = client.now(), client.heartbeats.get(self._node.number)
         new = heartbeat is not self._newest
-        if new or client.health.down_since is not None or client.pauses != self._pauses or client.behind:
-            self._newest, self._came, self._pauses = heartbeat, now, client.pauses
+        gaps = client.pauses, client.health.downtime
+        if new or client.health.down_since is not None or gaps != self._gaps or client.behind:
+            self._newest, self._came, self._gaps = heartbeat, now, gaps
         if now - self._came > QUIET:
             return f"no heartbeat for {now - self._came:.1f} s: its state is unknown"
         if heartbeat is None or heartbeat.boot_id != self._boot or heartbeat.state == DriveState.FAULT:
