@@ -80,8 +80,8 @@ class TickReference:
     MHz). `sampled`: tick of the newest sample delivered of a stream on CAN.
 
     With `tick_hz` and the host's time `now`, s, of what is being received, a tick that cannot be is put right, and told
-    in `wrong`. A counter that has jumped for good is followed with a `shift`, so that time goes on once records have been
-    dated (`used`); before that what came first may have been wrong.
+    in `wrong`. A counter that has jumped for good is followed with a `shift`, so that time goes on, once records have
+    been dated (`used`); before that, what came first may have been wrong.
     """
 
     tick: int = 0

@@ -21,7 +21,7 @@ DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
 MOST_PARAMETERS = 8
 MOST_LINES = 80
 COMPILED = {"kernel", "native", "intrinsic", "njit", "_kept"}
-MOST_CODE_LINES = {"bench": 28080, "sim": 8220, "protocol": 4580, "tests": 34140}
+MOST_CODE_LINES = {"bench": 28560, "sim": 8220, "protocol": 4730, "tests": 34560}
 """Whoever raises one says so in the commit."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 
