@@ -80,7 +80,8 @@ class TickReference:
     MHz). `sampled`: tick of the newest sample delivered of a stream on CAN.
 
     With `tick_hz` and the host's time `now`, s, of what is being received, a tick that cannot be is put right, and told
-    in `wrong`. A counter that has jumped for good is followed with a `shift`, so that time goes on.
+    in `wrong`. A counter that has jumped for good is followed with a `shift`, so that time goes on, once records have
+    been dated (`used`); before that, what came first may have been wrong.
     """
 
     tick: int = 0
@@ -88,6 +89,7 @@ class TickReference:
     tick_hz: int = 0
     now: float = 0.0
     shift: int = 0
+    used: bool = False
     wrong: list[WrongTime] = field(default_factory=list)
     _zero: tuple[float, float] | None = None  # ticks at host time 0, by what came the soonest of late, and before that
     _since: float = 0.0  # of late: since then
@@ -96,7 +98,7 @@ class TickReference:
 
     def restart(self) -> None:
         """The device has rebooted: its counter begins anew."""
-        self.tick, self.sampled, self.shift, self._zero, self._doubted = 0, -1, 0, None, (0, 0)
+        self.tick, self.sampled, self.shift, self.used, self._zero, self._doubted = 0, -1, 0, False, None, (0, 0)
 
     @property
     def latest(self) -> float:
@@ -105,18 +107,24 @@ class TickReference:
             return math.inf
         return max(self._zero) + (self.now + AHEAD + DRIFT * (self.now - self._heard)) * self.tick_hz
 
+    def as_it_can_be(self, told: int, behind: float = BEHIND) -> int:
+        """Return a whole tick as the device's time goes on, or what it can be instead; `behind` as for `hear`."""
+        tick, hz = told - self.shift, self.tick_hz
+        if not hz or self._zero is None or self.tick - behind * hz <= tick <= self.latest:
+            return tick
+        expected = round(max(self._zero) + self.now * hz)
+        return self.tick if expected - self.tick < FRESH * hz else expected  # what came just now is sure
+
     def hear(self, told: int, what: str, behind: float = BEHIND) -> int:
         """Take a whole tick that the device tells; return it as the device's time goes on.
 
         `behind`: s by which it may be older than the newest.
         """
         tick, hz = told - self.shift, self.tick_hz
-        if not hz or self._zero is None or self.tick - behind * hz <= tick <= self.latest:
+        expected = self.as_it_can_be(told, behind)
+        if expected == tick:
             self._believe(tick if behind == BEHIND else max(tick, self.tick))
             return tick
-        expected = round(max(self._zero) + self.now * hz)
-        if expected - self.tick < FRESH * hz:  # by what came just now it has come so far; further is not sure
-            expected = self.tick
         off, alike = self._doubted
         alike = alike + 1 if alike and abs(tick - expected - off) < hz else 1
         self._doubted = tick - expected, alike
@@ -124,7 +132,10 @@ class TickReference:
             self.wrong.append(WrongTime(expected, what, (tick - expected) / hz))
         if alike == JUMPED:
             self.wrong.append(WrongTime(expected, "the clock has jumped: all since then", (tick - expected) / hz))
-            self.shift += tick - expected
+            if self.used:
+                self.shift += tick - expected
+            else:
+                self._zero, expected = None, tick
             self._believe(expected)
         self.tick = expected
         return expected
@@ -430,7 +441,9 @@ class SampleDecoder(_Sequence):
             expected, most = self._next_tick + lost, OFF * hz + OFF_SHARE * lost
         else:
             expected, most = reference.tick, math.inf
-            if reference.unwrap_one(tick32) > reference.latest:  # the first one: by tick 0, if that can be
+            if (
+                not reference.tick - QUEUED * hz <= reference.unwrap_one(tick32) <= reference.latest
+            ):  # by tick 0, if it can
                 since = self.config.tick0 - reference.shift + index * period
                 expected, most = since if abs(since - reference.tick) < BEHIND * hz else reference.tick, OFF * hz
         tick = reference.unwrap_one(tick32, expected)
@@ -463,7 +476,7 @@ class SampleDecoder(_Sequence):
             return None
         starts = [(self._dated(index, tick, n), n) for index, tick, n in accepted.runs]
         tick = _progressions(starts, self._ticks_per_sample)
-        self._reference.tick = int(tick[-1])
+        self._reference.tick, self._reference.used = int(tick[-1]), True
         index = accepted.index(self.config.decimation)
         return SampleChunk(self.config, index, tick, accepted.records, accepted.gaps)
 
@@ -508,7 +521,7 @@ class EdgeDecoder(_Sequence):
         if accepted is None:
             return None
         tick = self._dated(self._reference.unwrap(accepted.records["tick"]))
-        self._last_tick = int(tick[-1])
+        self._last_tick, self._reference.used = int(tick[-1]), True
         self._reference.tick = max(self._reference.tick, self._last_tick)
         return unpack_edges(self.config, accepted.records, tick, accepted.index(1), accepted.gaps)
 

@@ -174,6 +174,7 @@ class Client:
         self._last_pause = (-math.inf, 0.0)  # when it ended, and how long it was, s
         self.misdated: dict[str, int] = {}
         """How often something was dated as it cannot be, by what it was."""
+        self._untold: list[Heard] = []  # of that
         self.beside: list[Client] = []
         """Of other links of the same bench."""
         self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
@@ -460,8 +461,13 @@ class Client:
         at = wrong.tick / self.session.tick_reference(node).tick_hz
         more = f" ({count} times so far)" if count > FEW else ""
         text = f"node {node}: {wrong.what} dated {abs(wrong.by):.3f} s {way} {at:.3f} s, the time that it was{more}"
-        self.note(text, "WARN")
-        self.tell(Misdated(wrong.tick, node, text))
+        self._untold += [Note(wrong.tick, text, "WARN"), Misdated(wrong.tick, node, text)]
+        self.tell_misdated()
+
+    def tell_misdated(self) -> None:
+        """Tell the sinks what was dated as it cannot be, also before there were any."""
+        while self._untold and self.sinks:
+            self.tell(self._untold.pop(0))
 
     def _seen(self, node: int, now: float) -> None:
         watch = self._watches.setdefault(node, _Watch())

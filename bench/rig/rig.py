@@ -269,6 +269,7 @@ class Rig:
         if plan.goes_on:
             outputs.time_by(lambda tick: None if self.clock is None else self.clock.host_time(tick))
         self.client.sinks = [*watching, *([] if plan.passive else [self.guard()]), *outputs.sinks]
+        self.client.tell_misdated()
         return outputs
 
     def guard(self) -> RunawayGuard:

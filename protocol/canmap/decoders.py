@@ -192,7 +192,7 @@ class CanSampleDecoder(_CanDecoder):
         self.counters.samples += len(numbers)
         self.counters.lost_by_index += int(missing.sum())
         tick = self.config.tick0 + numbers * self._ticks_per_sample
-        self._reference.sampled = int(tick[-1])
+        self._reference.sampled, self._reference.used = int(tick[-1]), True
         raw = np.ascontiguousarray(packed).view(self.config.dtype)[:, 0]
         return SampleChunk(self.config, numbers * self.config.decimation, tick, raw, gaps)
 
@@ -241,7 +241,7 @@ class CanEdgeDecoder(_CanDecoder):
         records, tick, numbers, before = self._keep(passed, records, tick, numbers, before)
         if not len(records):
             return None
-        self._last_tick = int(tick[-1])
+        self._last_tick, self._reference.used = int(tick[-1]), True
         missing = numbers - before
         late = tick <= self._reference.sampled
         lost = int(missing.sum())

@@ -8,7 +8,7 @@ are of. This module never looks into a message, but for a heartbeat's time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +51,7 @@ class _Node:
     held: list[NDArray[np.void]] = field(default_factory=list)
     n_held: int = 0
     fd: bool | None = None  # format of its messages
-    clock: TickReference = field(default_factory=TickReference)  # of the heartbeats
+    clock: TickReference | None = None  # the session's, once there is a stream
     boot_id: int | None = None
 
 
@@ -195,13 +195,10 @@ class CanWire:
             return []
         node = self._nodes[message[NODE_OFFSET]]
         first = not node.beats
-        if heartbeat.boot_id != node.boot_id:
-            node.boot_id = heartbeat.boot_id
-            node.clock.restart()
-        node.clock.now = time
-        tick = node.clock.hear(heartbeat.tick, "")  # the session tells what cannot be
-        node.clock.wrong.clear()
-        node.beats = (*node.beats, Beat(tick, heartbeat.edges))[-MAX_BEATS:]
+        same, node.boot_id = heartbeat.boot_id == node.boot_id, heartbeat.boot_id
+        tick = node.clock.as_it_can_be(heartbeat.tick) if same and node.clock else heartbeat.tick
+        before = (beat for beat in node.beats if beat.tick <= tick)  # of others the time has turned out to be wrong
+        node.beats = (*before, Beat(tick, heartbeat.edges))[-MAX_BEATS:]
         node.heard = time
         if not node.held:
             return []
@@ -251,7 +248,9 @@ class CanWire:
     def decoder(self, config: StreamConfig, reference: TickReference) -> Decoder:
         """See `HostWire.decoder`. Raises RemoteProtocolError if host and device are not of one mind on the format."""
         node = self._nodes.setdefault(config.node, _Node())
-        node.clock.tick_hz = config.tick_hz
+        node.clock = reference
+        node.beats = tuple(beat for beat in node.beats if reference.as_it_can_be(beat.tick) == beat.tick)
+        config = replace(config, tick0=config.tick0 - reference.shift)
         if node.fd is not None and node.fd != self.rates.fd:
             here, there = ("CAN FD", "classic CAN") if self.rates.fd else ("classic CAN", "CAN FD")
             fix = "remove fd=1 from" if self.rates.fd else "add fd=1 and data_bitrate to"
