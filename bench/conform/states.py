@@ -524,7 +524,7 @@ def arm_restarts(device: Device) -> str:
     return words
 
 
-@watchdog("parameter", "7.23 7.22 9.8 4.15")
+@watchdog("parameter", "7.23 7.22 7.28 9.8 4.15")
 def parameter(device: Device) -> Iterator[str]:
     """The parameter `watchdog` takes both ends of its range, HELLO leaves it, and it counts from the set on."""
     record = device.named("watchdog")
