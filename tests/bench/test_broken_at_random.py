@@ -32,7 +32,7 @@ NOT_OK = {
     (frozenset(case.faults.split()), case.command) for rows in TABLES.values() for case in rows if 0 not in case.codes
 }
 """Faults with which a command must not end well, however well the link works."""
-OF_THE_MOTOR = {case.faults for case in TABLES["motors"]} | {"nan-samples", "overcurrent"}
+OF_THE_MOTOR = {case.faults for case in TABLES["motors"]} | {"nan-samples", "overcurrent", "angles-unwrapped"}
 OF_THE_HALLS = OF_THE_MOTOR | {
     "edges-uncounted",
     "hall-as-read",
