@@ -231,10 +231,11 @@ class _Course:
         if run.loses:
             self._device.probe.mute.clear()
             return Verdict.INVALID, f"{run.loses}: {evidence}"
-        if check.critical:  # nothing is energised any more
-            return Verdict.FAIL, evidence
-        self._device.kept.clear()
-        again, other = self._attempt(check)
+        again, other = Verdict.FAIL, ""
+        if not check.critical and not run.ended:  # else nothing is energised any more
+            self._device.kept.clear()
+            with suppress(NoAnswer):  # of HELLO: it answers nothing any more
+                again, other = self._attempt(check)
         if again is Verdict.FAIL:
             return Verdict.FAIL, evidence
         return Verdict.INVALID, f"only at the first of two attempts: {evidence}; then {other}"
