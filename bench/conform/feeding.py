@@ -68,6 +68,7 @@ def _asks(device: Device, frames: Sequence[Frame]) -> Callable[[], None]:
 
 
 def _once_more(device: Device, frame: Frame) -> None:
+    device.probe.ask(MessageType.TIME_SYNC)  # on CAN a frame that comes twice in a row is taken once
     device.probe.ask_frame(frame)
 
 

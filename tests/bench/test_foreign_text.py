@@ -18,7 +18,7 @@ from virtual_run import WatchedLink, reached_by, simulated
 from bench.cli import main
 from bench.record.reader import Run
 from protocol.descriptor import Descriptor
-from protocol.messages import Feature
+from protocol.messages import Feature, Log
 from sim.ports.device import SimulatedDevice
 
 NAME = "\x1b]0;pwn\x07[red]x"
@@ -63,7 +63,9 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[...
 
     def run(device: SimulatedDevice, *arguments: str, reply: str = "") -> tuple[int, str]:
         def link(target: str) -> WatchedLink:
-            return WatchedLink(device, lambda number: None if number % 50 else device.drive.log(3, LOG))
+            return WatchedLink(
+                device, lambda number: None if number % 50 else device.drive._send(Log(3, LOG))
+            )  # not as log() tells it
 
         code, typed, shown = 0, Terminal(reply), Terminal()
         with (

@@ -95,7 +95,7 @@ def test_a_reboot_is_a_reboot(command: str, carrier: str, after: float, capsys: 
     """So long after START."""
     with serving("full", ["reboots"], carrier, after=after) as device:
         ran = bench(COMMANDS[command], device, capsys)
-    assert ran.code == 1, ran.text
+    assert ran.code == (2 if command == "hall" else 1), ran.text  # 1 is a fault of the Hall sensors
     assert re.search(r"(the drive|node 1) has rebooted", ran.text), ran.text
     assert "two devices" not in ran.text
     assert not device.outputs_on
