@@ -63,9 +63,8 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[...
 
     def run(device: SimulatedDevice, *arguments: str, reply: str = "") -> tuple[int, str]:
         def link(target: str) -> WatchedLink:
-            return WatchedLink(
-                device, lambda number: None if number % 50 else device.drive._send(Log(3, LOG))
-            )  # not as log() tells it
+            send = device.drive._send  # log() would have no control characters
+            return WatchedLink(device, lambda number: None if number % 50 else send(Log(3, LOG)))
 
         code, typed, shown = 0, Terminal(reply), Terminal()
         with (
