@@ -12,7 +12,7 @@ from bench.device.counters import DeviceCounters
 from bench.device.heard import Heard, Misdated, Missing
 from bench.errors import BenchError
 from bench.signal.capture import Capture
-from bench.signal.chunks import LostStretches, between, join, no_edges
+from bench.signal.chunks import LostStretches, between, join, no_edges, streams_none
 from protocol.host import HeartbeatReceived
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from protocol.text import counted
@@ -81,7 +81,8 @@ class Recorder:
         near = [c for c in self._edges if not len(c) or (c.tick[-1] >= first and c.tick[0] <= last)]
         edges = join([between(chunk, first, last) for chunk in near or self._edges[:1]])
         dropped = [stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first]
-        if not any(map(len, self._edges)) and (counted_edges := self._beats[1] - self._beats[0] & 0xFFFFFFFF):
+        came = any(map(len, self._edges)) or streams_none(edges.config)
+        if not came and (counted_edges := self._beats[1] - self._beats[0] & 0xFFFFFFFF):
             dropped.append(
                 (first, last, f"{counted(counted_edges, 'Hall edge')} were lost: all that the drive counted")
             )
