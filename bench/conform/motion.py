@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -563,15 +564,22 @@ def never_clipped(device: Device) -> str:
     record = device.named("omega_m_max")
     if record is None or record.flags & Flag.READ_ONLY:
         raise Unknown("the speed limit cannot be lowered (no parameter omega_m_max): not tried")
-    before = device.parameter(record).value
-    try:
-        limit = float(np.float32(device.speed_rpm * RPM))
-        require_granted(device.set(record, limit), f"omega_m_max = {limit:g}")
-        device.run()
+    limit = float(np.float32(device.speed_rpm * RPM))
+    with _running_with(device, record, limit):
         words = f"{_beyond(device, limit)}; {_beyond(device, -limit)}"
         if not is_taken(device, SetpointMode.SPEED, 0x0C0D, limit):
             raise Failed(f"{words}; the limit itself, {limit:.6g} rad/s, is not accepted")
         return f"{words}; the limit itself: accepted"
+
+
+@contextmanager
+def _running_with(device: Device, record: Channel, limit: float) -> Iterator[None]:
+    """RUNNING with a parameter set to this, which is put back at rest."""
+    before = device.parameter(record).value
+    try:
+        require_granted(device.set(record, limit), f"{record.name} = {limit:g}")
+        device.run()
+        yield
     finally:
         try:
             device.rest()
@@ -604,9 +612,7 @@ def current_limit(device: Device) -> str:
     if not limit <= told.hi:
         raise Unknown(f"i_max goes up to {told.hi:g} A")
     words = []
-    try:
-        require_granted(device.set(record, limit), f"i_max = {limit:g}")
-        device.run()
+    with _running_with(device, record, limit):
         if not is_taken(device, SetpointMode.CURRENT, 1):
             raise Unknown("CURRENT 0 was not accepted")
         for n, (i_q, i_d) in enumerate(((COMMON, 0.0), (-COMMON, 0.0), (0.0, COMMON), (0.8, 0.8)), 0x0100):
@@ -621,8 +627,3 @@ def current_limit(device: Device) -> str:
         if not is_taken(device, SetpointMode.CURRENT, 2, limit):
             raise Failed(f"CURRENT {limit:g} A, which is i_max, is not accepted")
         return f"{', '.join(words)}: rejected with {limit:g}; {limit:g} A: accepted"
-    finally:
-        try:
-            device.rest()
-        finally:
-            device.put_back(record, told.value)
