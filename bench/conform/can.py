@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 
 from bench.conform.checks import Carrier, Group
-from bench.conform.data import bus_samples
+from bench.conform.data import MORE_THAN_A_BYTE, bus_samples
 from bench.conform.device import PATIENCE, Device, ids, width
 from bench.conform.levels import CAN, MOTION, STATES, STREAMS
 from bench.conform.lines import BusLine, changed, cut, remote
@@ -424,12 +424,18 @@ def _some_groups(device: Device) -> tuple[Channel, ...]:
 
 
 @bus("counters", "16.25", needs=STREAMS)
-def counters(device: Device) -> str:
-    """Counters continue from frame to frame; missing frames are counted in tx_dropped."""
-    chosen = [min(device.channels, key=width)]
+def counters(device: Device) -> Iterator[str]:
+    """Counters continue from frame to frame, also at a decimation of more than a byte; lost ones are in tx_dropped."""
+    for rate in (RATE, min(device.pwm_hz / MORE_THAN_A_BYTE, RATE / 2)):
+        yield _counters(device, rate)
+        device.stop_streams()
+        device.probe.stream_frames.clear()
+
+
+def _counters(device: Device, rate: float) -> str:
     before = device.fresh().tx_dropped
-    told = device.stream(chosen, RATE)
-    device.probe.listen(WATCHED)
+    told = device.stream([min(device.channels, key=width)], rate)
+    device.probe.listen(max(WATCHED, 4.2 / rate))
     dropped = (device.fresh().tx_dropped - before) & 0xFFFFFFFF
     fd = device.bus.rates.fd
     size, step = (4, told.asked.decimation) if fd else (2, 1)

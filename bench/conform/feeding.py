@@ -17,7 +17,7 @@ from bench.conform.probe import HELLO
 from bench.conform.setpoints import NO_MODE
 from bench.conform.setpoints import payload as setpoint
 from bench.conform.states import Trip, late, trip_after, trips
-from bench.conform.verdicts import Failed
+from bench.conform.verdicts import Failed, Unknown
 from protocol.canmap.ids import STATUS_SLOTS, CanClass, CanId
 from protocol.codes import Command, DriveState, MessageType, SetpointMode
 from protocol.framing import MAJOR, REPLY, Frame
@@ -118,21 +118,22 @@ def _rejected(device: Device, state: DriveState) -> str:
 
 
 @check("not-fed-by-start", "7.24")
-def not_fed_by_start(device: Device) -> str:
+def not_fed_by_start(device: Device) -> Iterator[str]:
     """START does not feed the watchdog, neither in ARMED nor in RUNNING."""
     trips(device)
+    device.rest()
     device.arm()
     first, last = device.unfed()
     device.probe.listen(device.watchdog / 2)
     answer = device.probe.command(Command.START)
     entered = device.probe.tick()[1]
-
     state = DriveState.RUNNING if answer.error is None else DriveState.ARMED
+    yield _judged(device, trip_after(device, state, first, last, lambda: None, entered), "with START meanwhile")
 
     def start() -> None:
         device.probe.command(Command.START)
 
-    return _judged(device, trip_after(device, state, first, last, start, entered), "with START meanwhile")
+    yield _not_fed(device, DriveState.RUNNING, start, "START")
 
 
 @check("not-fed-by-telemetry", "7.27")
@@ -166,6 +167,8 @@ def _not_fed(device: Device, state: DriveState, send: Callable[[], None], what: 
         send()
 
     trip = trip_after(device, state, first, last, again)
+    if not sent:
+        raise Unknown(f"{trip}, before {what} could be sent")
     return _judged(device, trip, f"with {sent} times {what} meanwhile")
 
 
