@@ -301,8 +301,9 @@ class HostSession:
             self._hear(frame.node, now)
             try:
                 message = UNSOLICITED[frame.type].unpack(frame.payload)
-            except PayloadError:
+            except PayloadError as error:
                 counters.malformed += 1
+                self.tick_reference(frame.node).cannot_be(f"{MessageType(frame.type).name} ({error})")
             else:
                 self._receive_unsolicited(frame.node, message, now)
         elif frame.type in (MessageType.DATA, MessageType.EDGES):

@@ -65,7 +65,7 @@ class Beat(NamedTuple):
 
 
 class WrongTime(NamedTuple):
-    """`what` was dated `by` s away from `tick`, the time that it can have, and by which it goes on."""
+    """`what` was dated `by` s away from `tick`, the time that it can have, and by which it goes on; NaN: cannot be."""
 
     tick: int
     what: str
@@ -159,6 +159,10 @@ class TickReference:
         """Return the 64-bit tick for one 32-bit one, `near` another than the reference; that is not changed."""
         near = self.tick if near is None else near
         return near + _signed32(tick - self.shift - near)
+
+    def cannot_be(self, what: str) -> None:
+        """Tell that `what` came whole, with what SPEC does not allow, such as a time."""
+        self.wrong.append(WrongTime(self.tick, what, math.nan))
 
     def doubt(self, tick: int, what: str, by: float) -> None:
         """Tell that `what`, which belongs at `tick`, is dated `by` ticks away from it."""

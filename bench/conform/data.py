@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from bench.conform.checks import Carrier, Group
-from bench.conform.device import Block, Configured, Device, ids, require_granted, width
+from bench.conform.device import ALL, Block, Configured, Device, ids, require_granted, width
 from bench.conform.levels import MOTION, STREAMS
 from bench.conform.probe import MOST_QUEUED, read, steps
 from bench.conform.verdicts import Failed, NotApplicable, Unknown
@@ -362,8 +363,11 @@ def channel_order(device: Device) -> str:
 
 
 def _few(device: Device) -> tuple[Channel, ...]:
-    """Channels that a slow link carries too."""
-    return device.channels[: 3 if device.probe.line.bus else 8]
+    """Channels that a slow link carries too; on CAN some of one width, which could be taken for one another."""
+    if not device.probe.line.bus:
+        return device.channels[:8]
+    usual = Counter(map(width, device.channels)).most_common(1)[0][0]
+    return tuple(channel for channel in device.channels if width(channel) == usual)[:3]
 
 
 def _split(sample: bytes, chosen: tuple[Channel, ...]) -> list[bytes]:
@@ -384,12 +388,12 @@ def _both_ways(device: Device) -> Both:
 
 def _within(device: Device, chosen: Sequence[Channel], rate: float, share: float) -> tuple[Configured, float]:
     """Stream 0 at `rate`, or at a lower one at which it takes no more than `share` of the link; and that rate."""
-    told = device.configure(0, ids(chosen), rate, light=False)
+    told = device.configure(0, ids(chosen), rate, share=ALL)
     for _ in range(SLOWED):
         if told.reply.load <= share:
             break
         rate = device.pwm_hz / told.asked.decimation * share / told.reply.load
-        told = device.configure(0, ids(chosen), rate, light=False)
+        told = device.configure(0, ids(chosen), rate, share=ALL)
     return told, rate
 
 
@@ -397,7 +401,7 @@ def _streamed_both_ways(device: Device) -> Both:
     chosen = _few(device)
     rate = min(RATE, device.pwm_hz / 4)
     forth, rate = _within(device, chosen, rate, HALF)
-    back = device.configure(1, ids(chosen[::-1]), rate, light=False)
+    back = device.configure(1, ids(chosen[::-1]), rate, share=ALL)
     if forth.asked.decimation != back.asked.decimation:
         raise Unknown(f"the second stream fits only with decimation {back.asked.decimation}")
     device.start_streams(3)
@@ -453,6 +457,8 @@ def _codes(device: Device, channel: Channel) -> list[int]:
     device.probe.listen(WATCHED / 2)
     found = {raw[0] & 7 for raw in _instants(device, told, (channel,)).values()}
     device.stop_streams()
+    if not found:
+        raise Unknown(f"no sample of {channel.name} received within {WATCHED / 2:g} s")
     return sorted(found)
 
 
@@ -577,7 +583,7 @@ def _heaviest(device: Device) -> tuple[Configured, str]:
         dropped = _dropped(device) != before
         device.stop_streams()
         if not dropped:
-            told = device.configure(0, ids(chosen), rate, light=False)
+            told = device.configure(0, ids(chosen), rate, share=ALL)
             actual = device.pwm_hz / told.asked.decimation
             return told, f"{counted(len(chosen), 'channel')} ({told.reply.sample_bytes} bytes) at {actual:g} Hz"
         if told.asked.decimation >= SLOWEST:

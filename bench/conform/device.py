@@ -40,10 +40,12 @@ from protocol.messages import (
 )
 from protocol.signals import Flag
 from protocol.streams import MAX_DECIMATION, STREAM_HEADER
+from protocol.text import counted
 
 WATCHDOG = 0.2  # s, where there is no parameter that says otherwise
 ALIVE = 0.05  # s between two ALIVEs, at most a quarter of the watchdog's time
-LIGHT = 0.45  # of the link, that all streams take which a check looks at
+LIGHT, WELL_LOADED, ALL = 0.45, 0.8, 1.0
+"""Shares of the link that all streams take which a check looks at; beyond the second they queue up in the device."""
 SLOW_LINK = 3.0  # s in which a slow link brings two frames
 PART = 512  # bytes of the descriptor that are asked for at once
 PATIENCE = 0.5  # s beyond its time that a watchdog is given to end what STOP did not
@@ -233,20 +235,21 @@ class Device:
         return self.probe.ask(MessageType.STREAM_SET, payload)
 
     def configure(
-        self, stream: int, channels: Sequence[int], rate: float, latency_ms: int = 20, light: bool = True
+        self, stream: int, channels: Sequence[int], rate: float, latency_ms: int = 20, share: float = LIGHT
     ) -> Configured:
-        """Configure samples at about `rate` Hz, or as often as the link carries, well if `light`. Raises Unknown."""
+        """Configure samples at about `rate` Hz, or as often as that `share` of the link carries. Raises Unknown."""
         decimation = min(max(1, round(self.pwm_hz / rate)), MAX_DECIMATION)
-        answer = self.stream_set(stream, channels, decimation, latency_ms)
-        error = answer.error
-        if error is not None and error.code == ErrorCode.DOES_NOT_FIT and 1 <= error.detail <= MAX_DECIMATION:
-            decimation = int(error.detail)
+        while True:
             answer = self.stream_set(stream, channels, decimation, latency_ms)
-        reply = read(require_granted(answer, "STREAM_SET").frame, StreamReply)
-        while light and reply.load > LIGHT and decimation < MAX_DECIMATION:
-            decimation = min(math.ceil(decimation * max(1.1, reply.load / LIGHT)), MAX_DECIMATION)
-            answer = self.stream_set(stream, channels, decimation, latency_ms)
+            error = answer.error
+            fits = error.detail if error is not None and error.code == ErrorCode.DOES_NOT_FIT else 0.0
+            if decimation < fits <= MAX_DECIMATION:
+                decimation = int(fits)
+                continue
             reply = read(require_granted(answer, "STREAM_SET").frame, StreamReply)
+            if reply.load <= share or decimation == MAX_DECIMATION:
+                break
+            decimation = min(math.ceil(decimation * max(1.1, reply.load / share)), MAX_DECIMATION)
         if not reply.block or not reply.sample_bytes:
             raise Unknown(f"STREAM_SET gave sample_bytes {reply.sample_bytes}, block {reply.block}")
         return Configured(reply, StreamSet(stream, StreamEvent.PWM, decimation, latency_ms, tuple(channels)))
@@ -294,8 +297,15 @@ class Device:
 
     def require_undropped(self, before: int) -> None:
         """Raises Unknown where frames were dropped since tx_dropped was `before`: the link is too slow."""
-        if dropped := (self.fresh().tx_dropped - before) & 0xFFFFFFFF:
-            raise Unknown(f"the device dropped {dropped} frames: the link is too slow")
+        self.fresh()
+        if words := self.dropped(before):
+            raise Unknown(words)
+
+    def dropped(self, before: int | None = None) -> str:
+        """What it dropped since tx_dropped was `before`, or since `connect`, in words; empty if nothing."""
+        beats = [beat.tx_dropped for _, beat in self.probe.beats]
+        dropped = (beats[-1] - (beats[0] if before is None else before)) & 0xFFFFFFFF if beats else 0
+        return f"the device dropped {counted(dropped, 'frame')}: the link is too slow" if dropped else ""
 
     # -- states ---------------------------------------------------------------------------------------------------
 

@@ -27,6 +27,7 @@ from protocol.signals import Flag
 check = Group("watchdog", STATES)
 
 AT_ONCE = 4  # requests
+WITH_EVENT = 64  # bytes of a message and of the event that says it was rejected
 STREAM = 3  # that is used meanwhile
 ALIVE = MessageType.ALIVE
 
@@ -73,7 +74,7 @@ def _once_more(device: Device, frame: Frame) -> None:
 
 
 @check("not-fed-by-refused", "7.27")
-def not_fed_by_refused(device: Device) -> str:
+def not_fed_by_refused(device: Device) -> Iterator[str]:
     """An ALIVE of another major, with a tid, of a wrong length, damaged or for another node does not feed it."""
     probe, four = device.probe, bytes(4)
     frames = [
@@ -82,7 +83,7 @@ def not_fed_by_refused(device: Device) -> str:
         probe.frame(MessageType.TIME_SYNC, flags=2), probe.frame(MessageType.TIME_SYNC, tid=0),
     ]  # fmt: skip
     wires = [probe.line.encode(frame) for frame in frames] + _astray(device, probe.frame(ALIVE, four))
-    return _not_fed(device, DriveState.ARMED, _writes(device, wires), f"{len(wires)} wrong messages")
+    yield from _not_fed_by(device, DriveState.ARMED, wires, "wrong messages")
 
 
 def _astray(device: Device, alive: Frame) -> list[bytes]:
@@ -99,12 +100,13 @@ def _astray(device: Device, alive: Frame) -> list[bytes]:
 
 
 @check("not-fed-by-rejected", "7.27")
-def not_fed_by_rejected(device: Device) -> str:
+def not_fed_by_rejected(device: Device) -> Iterator[str]:
     """Rejected setpoints do not feed the watchdog, neither in ARMED nor in RUNNING."""
-    return "; ".join((_rejected(device, DriveState.ARMED), _rejected(device, DriveState.RUNNING)))
+    for state in (DriveState.ARMED, DriveState.RUNNING):
+        yield from _not_fed_by(device, state, _rejected(device, state), "rejected setpoints")
 
 
-def _rejected(device: Device, state: DriveState) -> str:
+def _rejected(device: Device, state: DriveState) -> list[bytes]:
     frame, counter = device.probe.frame, itertools.count(1)
     payloads = [setpoint(NO_MODE, next(counter)), setpoint(SetpointMode.SPEED, next(counter), math.nan)]
     payloads += [setpoint(SetpointMode.SPEED, next(counter), 0.0, math.inf), setpoint(1, next(counter))[:11]]
@@ -113,8 +115,7 @@ def _rejected(device: Device, state: DriveState) -> str:
     frames = [frame(MessageType.SETPOINT, each) for each in payloads]
     frames.append(frame(MessageType.SETPOINT, setpoint(1, next(counter)), tid=7))
     frames.append(frame(MessageType.SETPOINT, setpoint(1, next(counter)), flags=2))
-    wires = [device.probe.line.encode(each) for each in frames]
-    return _not_fed(device, state, _writes(device, wires), f"{len(wires)} rejected setpoints")
+    return [device.probe.line.encode(each) for each in frames]
 
 
 @check("not-fed-by-start", "7.24")
@@ -144,13 +145,18 @@ def not_fed_by_telemetry(device: Device) -> str:
     return _not_fed(device, DriveState.ARMED, lambda: None, "times nothing but a running stream")
 
 
-def _writes(device: Device, wires: Sequence[bytes]) -> Callable[[], None]:
-    def write() -> None:
-        for wire in wires:
-            device.probe.write(wire)
-            device.probe.poll(0.0)
+def _not_fed_by(device: Device, state: DriveState, wires: Sequence[bytes], what: str) -> Iterator[str]:
+    """All at once, or as many as a slow link takes, with the events that they lead to, while the watchdog waits."""
+    at_once = max(1, int(device.watchdog / 4 / max(device.probe.takes(WITH_EVENT), 1e-9)))
+    for at in range(0, len(wires), at_once):
+        some = wires[at : at + at_once]
+        yield _not_fed(device, state, lambda some=some: _write(device, some), f"{len(some)} {what}")  # type: ignore[misc]
 
-    return write
+
+def _write(device: Device, wires: Sequence[bytes]) -> None:
+    for wire in wires:
+        device.probe.write(wire)
+        device.probe.poll(0.0)
 
 
 def _not_fed(device: Device, state: DriveState, send: Callable[[], None], what: str) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bench.conform.checks import Carrier, Group
 from bench.conform.data import edges_ahead, late
-from bench.conform.device import EDGE_BYTES, PATIENCE, Block, Configured, Device, ids, require_granted
+from bench.conform.device import EDGE_BYTES, PATIENCE, WELL_LOADED, Block, Configured, Device, ids, require_granted
 from bench.conform.levels import MOTION
 from bench.conform.probe import accepted, read, state_name
 from bench.conform.setpoints import NO_MODE, code_name, is_taken, send
@@ -85,6 +85,8 @@ class Turn:
     answered: DriveState
     ended: int
     """Tick when all had come."""
+    dropped: str
+    """What the device dropped meanwhile, in words."""
 
 
 def spin(device: Device) -> None:
@@ -119,7 +121,7 @@ def _turn(device: Device) -> Turn:
     told = None
     if device.descriptor.channels:
         followed = [channel or device.descriptor.channels[0]]
-        told = device.configure(1, ids(followed), RATE, LATENCY_MS, light=False)
+        told = device.configure(1, ids(followed), RATE, LATENCY_MS, WELL_LOADED)
         mask |= 2
     device.start_streams(mask)
     watch = _Watch(device, channel, told, slot)
@@ -145,7 +147,8 @@ def _turn(device: Device) -> Turn:
     blocks = [block for block in device.blocks(0) if block.edges]
     state = read(answer.frame, StateReply).state
     ended = device.probe.tick()[1]
-    return Turn(_edges(device, slot), blocks, travel, beats, edges, ahead, late, stopped, state, ended)
+    dropped = device.dropped()
+    return Turn(_edges(device, slot), blocks, travel, beats, edges, ahead, late, stopped, state, ended, dropped)
 
 
 def _often_enough(device: Device, told: Configured) -> bool:
@@ -265,7 +268,7 @@ def direction(device: Device) -> str:
 @check("edges-counted", "10.4 5.14")
 def edges_counted(device: Device) -> str:
     """`edges` in the heartbeat rises by the number of edges received between two heartbeats."""
-    device.require_edges()
+    _some(device, 0)
     turn = turned(device)
     beats = [beat for beat in turn.beats if turn.edges and _before(turn.edges[0].tick, beat.tick)]
     if len(beats) < 2:
@@ -292,7 +295,7 @@ def _before(tick: int, other: int) -> bool:
 @check("edges-before-samples", "11.43", carrier=Carrier.BYTES)
 def edges_before_samples(device: Device) -> str:
     """Every edge comes before any sample taken at or after it."""
-    device.require_edges()
+    _some(device, 0)
     turn = turned(device)
     if turn.late:
         raise Failed(turn.late)
@@ -304,10 +307,10 @@ def edges_before_samples(device: Device) -> str:
 def _some(device: Device, least: int = 2) -> list[Edge]:
     """Edges of the turn. Raises NotApplicable, Unknown."""
     device.require_edges()
-    edges = turned(device).edges
-    if len(edges) < least:
-        raise Unknown(f"only {len(edges)} edges received")
-    return edges
+    turn = turned(device)
+    if turn.dropped or len(turn.edges) < least:
+        raise Unknown(turn.dropped or f"only {len(turn.edges)} edges received")
+    return turn.edges
 
 
 @check("edge-codes", "11.38 11.39 11.41 12.4")
@@ -515,7 +518,7 @@ class _Motion:
         self._device, self.channel = device, reference(device)
         self.told: Configured | None = None
         if self.channel is not None:
-            self.told = device.configure(1, ids([self.channel]), RATE, LATENCY_MS, light=False)
+            self.told = device.configure(1, ids([self.channel]), RATE, LATENCY_MS, WELL_LOADED)
             if not _often_enough(device, self.told):
                 raise Unknown("the link is too slow for samples that show how the motor turns")
             device.start_streams(2)

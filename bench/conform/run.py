@@ -218,8 +218,10 @@ class _Course:
         return Result(check, verdict, evidence, probe.now() - began)
 
     def _doubted(self, check: Check, evidence: str) -> tuple[Verdict, str]:
-        """A failure, unless the link may be the cause: it loses frames, or all goes well at the second attempt."""
+        """A failure, unless the link may be its cause, slow or losing frames, or the second attempt goes well."""
         run = self._run
+        if check.needs >= STATES and (words := self._device.dropped()):
+            return Verdict.INVALID, f"{words}; {evidence}"
         if not run.loses and (found := self._device.probe.loses()):
             run.loses = f"the link may be the cause ({found})"
             run.results = [

@@ -115,7 +115,7 @@ def cfg_id(device: Device) -> str:
 @check("reply-fields", "11.14 5.38")
 def reply_fields(device: Device) -> Iterator[str]:
     """The reply to STREAM_SET has the correct sample_bytes and block, whatever max_latency_ms is."""
-    for n, latency in ((1, 200), (3, 200), (len(device.channels), 200), (1, 0), (1, 0xFFFF)):
+    for n, latency in ((1, 200), (3, 200), (len(device.channels), 200), (1, 0), (1, 35), (1, 0xFFFF)):
         chosen = device.fitting(device.channels[:n])
         told = device.configure(0, ids(chosen), SLOW_HZ, latency_ms=latency)
         size = sum(map(width, chosen))

@@ -454,13 +454,16 @@ class Client:
 
     def _misdated(self, node: int, wrong: WrongTime) -> None:
         """Tell it, of what comes again and again more and more seldom."""
-        count = self.misdated[wrong.what] = self.misdated.get(wrong.what, 0) + 1
+        what = wrong.what.partition(" (")[0]
+        count = self.misdated[what] = self.misdated.get(what, 0) + 1
         if self.hello is None or (count > FEW and count & (count - 1)):
             return
         way = "ahead of" if wrong.by > 0.0 else "behind"
-        at = wrong.tick / self.session.tick_reference(node).tick_hz
+        at = wrong.tick / (self.session.tick_reference(node).tick_hz or 1)
         more = f" ({count} times so far)" if count > FEW else ""
         text = f"node {node}: {wrong.what} dated {abs(wrong.by):.3f} s {way} {at:.3f} s, the time that it was{more}"
+        if math.isnan(wrong.by):
+            text = f"node {node}: after {at:.3f} s came what SPEC does not allow: {wrong.what}{more}"
         self._untold += [Note(wrong.tick, text, "WARN"), Misdated(wrong.tick, node, text)]
         self.tell_misdated()
 

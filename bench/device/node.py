@@ -64,6 +64,7 @@ from protocol.signals import Flag
 from protocol.streams import MAX_STREAMS, STREAM_HEADER, StreamConfig
 from protocol.text import counted
 from protocol.validity import check_parameter
+from protocol.wire import ByteWire
 
 DRIVE, LOAD = 1, 2
 SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
@@ -71,6 +72,8 @@ ALL_STREAMS = 0xFFFFFFFF
 MAX_LATENCY_MS = 20  # with which the bench configures streams
 DUE = 0.15  # s after which the next heartbeat is late
 _BLOB_PART = 512
+_PART_TAKES = 0.05  # s, at most, that a part is under way on a UART: the request is repeated after 0.1 s
+_SMALLEST_PART = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +129,11 @@ class Node:
     def _read_descriptor(self) -> Descriptor:
         blob = b""
         total = 1
+        wire = self.client.session.wire
+        in_time = wire.baud / 10 * _PART_TAKES if isinstance(wire, ByteWire) else _BLOB_PART
+        part = int(min(_BLOB_PART, max(in_time, _SMALLEST_PART)))
         while len(blob) < total:
-            reply = self.client.request(BlobRead(id=0, length=_BLOB_PART, offset=len(blob)), self.number, BlobReply)
+            reply = self.client.request(BlobRead(id=0, length=part, offset=len(blob)), self.number, BlobReply)
             total = reply.total
             if not reply.data and total:
                 raise NodeError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")
@@ -245,9 +251,10 @@ class Node:
                     "then clear it with --clear-faults"
                 ) from None
             raise NodeError(f"node {self.number} refused to arm: {refusal}") from None
+        answered = self.client.now()
         armed = heard(self, lambda heartbeat: heartbeat.state == DriveState.ARMED, HEARTBEATS)
         if armed is None:
-            why = f"it answered ARM with {state.name}, but {self._tripped() or self._says_now()}"
+            why = f"it answered ARM with {state.name}, but {self._tripped() or self._says_since(answered)}"
         elif not (why := without_watchdog(armed)):
             return
         self._give_up(f"refusing to energise node {self.number}: {why}")
@@ -276,10 +283,12 @@ class Node:
                 said = f"boot_id is {boot_id:08x} in its HELLO and {now.boot_id:08x} in its heartbeats"
                 raise DeviceDefect(f"node {self.number}: {said}")
 
-    def _says_now(self) -> str:
-        """What its heartbeats say, in words; that none came, where that is so."""
+    def _says_since(self, began: float) -> str:
+        """What its heartbeats have said since a time, in words; that none came, where that is so."""
         came, heartbeat = max(self.client.boots.get(self.number, {}).values(), default=(0.0, None), key=itemgetter(0))
-        return says(heartbeat if self.client.now() - came <= HEARTBEATS else None)
+        if came > began:
+            return says(heartbeat)
+        return f"no heartbeat came in the {self.client.now() - began:.2f} s after that: nobody could see it go off"
 
     def _give_up(self, why: str) -> NoReturn:
         """STOP, and raise DriveFailed; OutputsMayBeOn, which says why too, if it is not seen to be off."""

@@ -128,9 +128,13 @@ class UartLink(VirtualLink):
         return data
 
 
-def on_uart(level: int, baud: int) -> Run:
-    """The run on a simulated bench that knows its UART's rate and has room for half a second of frames."""
-    network = ByteNetwork(DeviceLink(TxQueue(bulk_limit=baud // 20, capacity=baud / BITS_PER_CHARACTER)))
+def on_uart(level: int, baud: int, compiled: bool = False) -> Run:
+    """The run on a simulated bench that knows its UART's rate and has room for half a second of frames.
+
+    `compiled`: behind the device side in C, which has a room of its own.
+    """
+    queue = TxQueue(bulk_limit=baud // 20, capacity=baud / BITS_PER_CHARACTER)
+    network = ByteNetwork(CompiledLink(capacity=baud / BITS_PER_CHARACTER) if compiled else DeviceLink(queue))
     device = SimulatedDevice(load_params(), 1, network=network)
     return run_on(UartLink(device, baud), level, idle=lambda seconds: device.advance(round(seconds * device.pwm_hz)))
 

@@ -14,6 +14,7 @@ from lossy import LosingLink, Losses
 from virtual_run import TARGET, run, simulated
 
 from bench.cli import main
+from bench.errors import DriveFailed, NodeError
 from tests.choice import sampled
 
 NO_ENCODER = {"encoder__present": 0}
@@ -82,6 +83,18 @@ def test_speed_by_edges_is_by_the_drives_clock(of: Case) -> None:
 @pytest.mark.parametrize("of", [*ALL_LOST, *sampled("lossy runs", map(case, range(400)), 8, campaign="lossy")])
 def test_losses_accuse_nobody(of: Case) -> None:
     _accuses_nobody(of)
+
+
+@pytest.mark.parametrize("network", ["bytes", "CAN FD"])
+def test_a_drive_whose_heartbeats_are_lost_is_not_said_to_contradict_itself(network: str) -> None:
+    said = []
+    for seed in range(20):
+        try:
+            run(LosingLink(simulated(network=network), Losses(heartbeats=0.7), seed), duration=0.3, speed_rpm=100.0)
+        except (DriveFailed, NodeError) as refused:
+            said.append(str(refused))
+    assert any("answered ARM with ARMED, but no heartbeat came in the 0." in words for words in said), said
+    assert not any("heartbeat says IDLE" in words for words in said), said
 
 
 @pytest.mark.parametrize("of", [*ALL_LOST[:1], *sampled("lossy checks", map(case, range(200)), 3, campaign="lossy")])

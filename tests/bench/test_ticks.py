@@ -120,6 +120,20 @@ def test_jumps_are_told_and_nothing_is_lost(tmp_path: Path, where: str, by: str,
     assert any("dated" in words for _, _, words in capture.dropped)
 
 
+@pytest.mark.parametrize("network", ["bytes", "CAN FD"])
+@pytest.mark.parametrize("bit", [62, 63])
+def test_a_time_of_no_clock_is_told_with_its_moment(tmp_path: Path, bit: int, network: str) -> None:
+    device = simulated(network=network)
+    of_heartbeats(device, lambda beat: {"tick": beat.tick + (_due(beat.tick, AT + 0.1) << bit)})
+    ended = run(WatchedLink(device), save=tmp_path / "a.run", speed_rpm=300.0, duration=4.0, channels=CHANNELS)
+    found = re.search(r"implausible: node 1: after ([\d.]+) s came what SPEC does not allow: HEARTBEAT", ended.summary.result)
+    assert found is not None, ended.summary.result
+    assert float(found[1]) == pytest.approx(AT, abs=0.2)
+    assert "is not below 2^62" in ended.summary.result
+    assert (ended.exit_code, ended.summary.link["malformed"]) == (1, 1)
+    assert Run(tmp_path / "a.run").damage
+
+
 def test_every_export_tells_it_and_has_every_row(tmp_path: Path) -> None:
     _, _, recording = _recorded(tmp_path / "a.run", "all", 1 << 31, "once", "bytes")
     rows = {"samples": len(recording.samples), "edges": len(recording.edges)}

@@ -167,12 +167,13 @@ def test_its_hall_sensors_are_healthy(start: Callable[..., Program], on_a_pty: P
 
 
 @pytest.mark.parametrize("target", [pytest.param("mps2-an386", marks=QEMU)], indirect=True)
-def test_it_conforms(start: Callable[..., Program], target: str) -> None:
+def test_it_conforms_and_is_never_blamed(start: Callable[..., Program], target: str) -> None:
     for _ in range(3):  # as above
-        program = start("conform", target, "--level", "3", "--json", "-")
-        if program.end() == 0:
+        program = start("conform", target, "--level", "4", "--yes", "--json", "-")
+        code = program.end()
+        verdicts = [check["verdict"] for check in json.loads("\n".join(program.out))["checks"]]
+        assert "failed" not in verdicts, program.out
+        if code == 0:
             break
-    found = told(program)
-    assert found["conforms_at_level"] == 3
-    assert {check["verdict"] for check in found["checks"]} <= {"passed", "not applicable", "unknown"}
-    assert sum(check["verdict"] == "passed" for check in found["checks"]) > 90
+    assert told(program)["conforms_at_level"] == 4
+    assert verdicts.count("passed") > 140
