@@ -172,7 +172,7 @@ def read(edges: Edges, tick_hz: float) -> Inputs:
         omega, most = edges.omega / ratio, np.full(len(edges.tick), RETURNS)
         omega = np.where(np.abs(omega) >= SLOW, omega, 0.0)  # NaN too
     else:
-        omega, even = speed_by_sectors(edges.tick / tick_hz, net)
+        omega, even = speed_by_sectors(edges.tick / tick_hz, net, edges.stretch)
         most = np.where(even, EVEN_RETURNS, BLIND_RETURNS)
     sectors = np.append(net.sectors, 0)
     sectors_at = sectors[np.searchsorted(net.at, np.arange(len(edges.tick)), "right") - 1]
@@ -268,10 +268,11 @@ def _half_turns(edges: Edges) -> int:
     return n
 
 
-def speed_by_sectors(t: Floats, net: Net) -> tuple[Floats, Bools]:
+def speed_by_sectors(t: Floats, net: Net, stretch: Ints) -> tuple[Floats, Bools]:
     """Electrical speed, rad/s, at edges at the times `t` (n,) s, by the quickest of the sectors around; 0 at a stand.
 
-    And whether these sectors lasted about alike.
+    It is 0 also where edges were lost among these, by `stretch` (n,): nobody saw which way the shaft went. And whether
+    these sectors lasted about alike.
 
     A shaft that is pushed about as it stands goes back for a fifth of such a sector, and more: that is no return.
     """
@@ -283,7 +284,8 @@ def speed_by_sectors(t: Floats, net: Net) -> tuple[Floats, Bools]:
     around = np.array([lasts[inside - 1], lasts[inside], lasts[inside + 1]])
     gone = np.diff(net.sectors)
     ways = np.sign([gone[inside - 1], gone[inside], gone[inside + 1]])
-    steady = (np.abs(ways.sum(axis=0)) == 3) & (lasts[inside] < PAUSE * np.minimum(around[0], around[2]))
+    whole = stretch[net.at][inside - 1] == stretch[net.at][inside + 2]
+    steady = whole & (np.abs(ways.sum(axis=0)) == 3) & (lasts[inside] < PAUSE * np.minimum(around[0], around[2]))
     even = steady & (around.max(axis=0) < EVEN * around.min(axis=0)) & (around.min(axis=0) < SECTOR_WIDTH / SWAYS)
     return np.where(steady, ways[0] * SECTOR_WIDTH / around.min(axis=0), 0.0), even
 
