@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 
 from bench.conform.checks import Carrier, Group
 from bench.conform.data import edges_ahead, late
-from bench.conform.device import EDGE_BYTES, PATIENCE, WELL_LOADED, Block, Configured, Device, ids, require_granted
+from bench.conform.device import (
+    EDGE_BYTES,
+    PATIENCE,
+    SLOW_LINK,
+    WELL_LOADED,
+    Block,
+    Configured,
+    Device,
+    ids,
+    require_granted,
+)
 from bench.conform.levels import MOTION
 from bench.conform.probe import accepted, read, state_name
 from bench.conform.setpoints import NO_MODE, code_name, is_taken, send
@@ -532,12 +542,21 @@ class _Motion:
             before = device.fresh().edges
             probe.listen(STRETCH)
             return ((device.fresh().edges - before) & 0xFFFFFFFF) * math.pi / 3
-        since = (len(probe.heard), len(probe.stream_frames))
+        since, begin = (len(probe.heard), len(probe.stream_frames)), probe.tick()[1]
         probe.listen(STRETCH)
+        if not probe.line.bus:  # where a slow UART still has those of before under way
+            since = (self._fresh(since[0], begin, begin + round(STRETCH * device.hz)), since[1])
         angles = _angles(device, self.channel, self.told.reply.slot if self.told else 0, since)
         if len(angles) < 2:
             raise Unknown(f"{len(angles)} samples of {self.channel.name} received within {STRETCH:g} s")
         return _turned_by(angles)
+
+    def _fresh(self, since: int, begin: int, end: int) -> int:
+        """The place of the first samples from tick `begin` on, once those of `end` have come."""
+        device = self._device
+        device.probe.until(lambda: any(_signed(b.tick - end) >= 0 for b in device.blocks(1, since)), SLOW_LINK)
+        places = (block.place for block in device.blocks(1, since) if _signed(block.tick - begin) >= 0)
+        return next(places, len(device.probe.heard))
 
     def stands(self) -> bool:
         """Whether the shaft comes to rest in some seconds."""

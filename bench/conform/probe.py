@@ -46,6 +46,7 @@ PATIENCE = 0.25  # s for which an answer is waited for, before the request is re
 HELD = 0.05  # s beyond what was asked for that one look at the link may take; else this program was held up
 HELLO_TRIES = 10
 LOOK_AT_LINK, REQUESTS, ENOUGH = 2.0, 1000, 3  # s, requests, and lost ones, after which one knows what a link loses
+SLOWEST = 10 / 28_800  # s a byte of a UART, above which frames wait for one another for longer than HBP's times
 GRACE = 0.03  # s in which an answer that must not come would come, once a later request has been answered
 SLICE = 0.02  # s that one look at the link waits
 BEAT = 0.45  # s in which a heartbeat must come: four of them
@@ -293,8 +294,11 @@ class Probe:
     def loses(self) -> str:
         """What the link loses of requests and answers, in words; empty if it seems to lose nothing.
 
-        A device that answers none of them is no such link.
+        A device that answers none of them is no such link. On a UART that is hardly quicker than what must pass in
+        time, frames wait for one another, and nothing is told from that.
         """
+        if self._byte > SLOWEST:
+            return f"{10 / self._byte:.0f} baud are too slow for HBP's times: use {10 / SLOWEST:.0f} or more"
         damaged, asked, lost = self.line.damaged, 0, 0
         end = self.now() + LOOK_AT_LINK
         while asked < REQUESTS and self.now() < end and lost < ENOUGH:

@@ -252,12 +252,18 @@ class Node:
                 ) from None
             raise NodeError(f"node {self.number} refused to arm: {refusal}") from None
         answered = self.client.now()
-        armed = heard(self, lambda heartbeat: heartbeat.state == DriveState.ARMED, HEARTBEATS)
-        if armed is None:
-            why = f"it answered ARM with {state.name}, but {self._tripped() or self._says_since(answered)}"
-        elif not (why := without_watchdog(armed)):
-            return
-        self._give_up(f"refusing to energise node {self.number}: {why}")
+        beat = heard(self, lambda heartbeat: heartbeat.state == DriveState.ARMED, HEARTBEATS)
+        tripped = "" if beat else self._tripped()  # which waits for one more
+        beat = beat or self._said_since(answered)
+        if beat is None:
+            unseen = f"no heartbeat came in the {self.client.now() - answered:.2f} s after that, to see it go off by"
+            why = f"it answered ARM with {state.name}, but {unseen}"
+        elif beat.state != DriveState.ARMED:
+            why = f"it answered ARM with {state.name}, but {tripped or says(beat)}"
+        else:
+            why = without_watchdog(beat)
+        if why:
+            self._give_up(f"refusing to energise node {self.number}: {why}")
 
     def require_alive(self) -> None:
         """NodeError unless it is one device whose heartbeats come: without them nobody would see it go off."""
@@ -283,12 +289,10 @@ class Node:
                 said = f"boot_id is {boot_id:08x} in its HELLO and {now.boot_id:08x} in its heartbeats"
                 raise DeviceDefect(f"node {self.number}: {said}")
 
-    def _says_since(self, began: float) -> str:
-        """What its heartbeats have said since a time, in words; that none came, where that is so."""
+    def _said_since(self, began: float) -> Heartbeat | None:
+        """Its newest heartbeat, if it came after a time."""
         came, heartbeat = max(self.client.boots.get(self.number, {}).values(), default=(0.0, None), key=itemgetter(0))
-        if came > began:
-            return says(heartbeat)
-        return f"no heartbeat came in the {self.client.now() - began:.2f} s after that: nobody could see it go off"
+        return heartbeat if came > began else None
 
     def _give_up(self, why: str) -> NoReturn:
         """STOP, and raise DriveFailed; OutputsMayBeOn, which says why too, if it is not seen to be off."""

@@ -68,6 +68,10 @@ def heard(node: Node, condition: Callable[[Heartbeat], bool], timeout: float) ->
     return node.client.heartbeats[node.number] if node.client.wait(came, timeout) else None
 
 
+class _Unseen(DriveFailed):
+    """Nobody has seen whether the outputs are off."""
+
+
 def switch_off(node: Node) -> DriveState:
     """STOP `node` until a heartbeat shows its outputs off; returns the state that it is in then.
 
@@ -86,7 +90,8 @@ def switch_off(node: Node) -> DriveState:
             state = _stop_once(node)
         except DriveFailed as lie:
             troubles.append(str(lie))
-            lies.append(str(lie))
+            if not isinstance(lie, _Unseen):
+                lies.append(str(lie))
         except NoReply as error:
             why = str(error).partition(" tries")[2]
             troubles.append(f"{_name(node)} did not answer STOP{'' if HEARD in why else why}")
@@ -107,7 +112,10 @@ def switch_off(node: Node) -> DriveState:
 
 
 def _stop_once(node: Node) -> DriveState:
-    """One STOP; the state in which the node was then seen to be off. Raises DriveFailed if it was not, HbpError."""
+    """One STOP; the state in which the node was then seen to be off. Raises DriveFailed if it was not, HbpError.
+
+    _Unseen where no heartbeat came that could have shown it: the link may have lost them.
+    """
     try:
         answer = node.command(Command.STOP)
     except Refused as refusal:
@@ -116,7 +124,9 @@ def _stop_once(node: Node) -> DriveState:
         raise DriveFailed(f"{_name(node)} answered STOP with {answer.name}")
     since = node.client.now()
     if not node.client.wait(lambda: _all_off(node, since), 2 * HEARTBEATS if len(_heard(node)) > 1 else HEARTBEATS):
-        raise DriveFailed(f"{_name(node)} answered STOP with {answer.name}, but {_still(node, since)}")
+        silent = not any(came > since for came, _ in node.client.boots.get(node.number, {}).values())
+        kind = _Unseen if silent else DriveFailed
+        raise kind(f"{_name(node)} answered STOP with {answer.name}, but {_still(node, since)}")
     return node.client.heartbeats[node.number].state
 
 

@@ -16,6 +16,7 @@ from bench.conform.catalogue import chosen
 from bench.conform.checks import Check
 from bench.conform.run import Options, Run, conform
 from bench.signal.verdict import Verdict
+from protocol.device.compiled import CompiledLink
 from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
 from protocol.links import Link

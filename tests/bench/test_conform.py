@@ -104,9 +104,13 @@ def test_a_slow_uart_is_no_fault_of_the_device(baud: int) -> None:
 
 
 @pytest.mark.campaign("conform")
-@pytest.mark.parametrize("baud", [9_600, 19_200, 38_400])
-def test_neither_is_a_very_slow_one(baud: int) -> None:
-    assert not ended(on_uart(STREAMS, baud), Verdict.FAIL)
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("baud", [9_600, 14_400, 19_200, 28_800, 31_250, 38_400, 44_000])
+def test_neither_is_a_very_slow_one(baud: int, compiled: bool) -> None:
+    run = on_uart(MOTION, baud, compiled)
+    assert not ended(run, Verdict.FAIL)
+    assert run.count(Verdict.PASS) > (150 if baud >= 28_800 else 70)
+    assert not run.loses or (baud < 28_800 and "use 28800 or more" in run.loses)
 
 
 RATES = {f"{hz} Hz, {carrier}": (hz, carrier)

@@ -88,13 +88,15 @@ def test_losses_accuse_nobody(of: Case) -> None:
 @pytest.mark.parametrize("network", ["bytes", "CAN FD"])
 def test_a_drive_whose_heartbeats_are_lost_is_not_said_to_contradict_itself(network: str) -> None:
     said = []
-    for seed in range(20):
+    for seed in range(12):
+        link = LosingLink(simulated(network=network), Losses(heartbeats=0.7), seed)
         try:
-            run(LosingLink(simulated(network=network), Losses(heartbeats=0.7), seed), duration=0.3, speed_rpm=100.0)
+            said.append(run(link, duration=0.3, speed_rpm=100.0, fit=True).summary.result)
         except (DriveFailed, NodeError) as refused:
             said.append(str(refused))
-    assert any("answered ARM with ARMED, but no heartbeat came in the 0." in words for words in said), said
-    assert not any("heartbeat says IDLE" in words for words in said), said
+    assert not any("heartbeat says" in words or "only at attempt" in words for words in said), said
+    silent = ("no heartbeat", "whether 100 r/min are held (too short a time)", "the drive was silent for")
+    assert all(any(way in words for way in silent) for words in said), said
 
 
 @pytest.mark.parametrize("of", [*ALL_LOST[:1], *sampled("lossy checks", map(case, range(200)), 3, campaign="lossy")])

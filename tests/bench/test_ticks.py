@@ -126,7 +126,9 @@ def test_a_time_of_no_clock_is_told_with_its_moment(tmp_path: Path, bit: int, ne
     device = simulated(network=network)
     of_heartbeats(device, lambda beat: {"tick": beat.tick + (_due(beat.tick, AT + 0.1) << bit)})
     ended = run(WatchedLink(device), save=tmp_path / "a.run", speed_rpm=300.0, duration=4.0, channels=CHANNELS)
-    found = re.search(r"implausible: node 1: after ([\d.]+) s came what SPEC does not allow: HEARTBEAT", ended.summary.result)
+    found = re.search(
+        r"implausible: node 1: after ([\d.]+) s came what SPEC does not allow: HEARTBEAT", ended.summary.result
+    )
     assert found is not None, ended.summary.result
     assert float(found[1]) == pytest.approx(AT, abs=0.2)
     assert "is not below 2^62" in ended.summary.result

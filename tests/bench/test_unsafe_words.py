@@ -79,7 +79,7 @@ def test_who_falls_silent_when_it_is_armed_is_stopped_for_that(
     assert ran.code == 5, ran.text
     check(ran.out + ran.err, r"did not answer STOP(: nothing came of it for \d+\.\d\d s)? \(3 tries\)")
     if command != "hall":
-        assert "(refusing to energise node 1: it answered ARM with ARMED, but no heartbeat came in the " in ran.text
+        assert "(refusing to energise node 1: it answered ARM with ARMED, but no heartbeat came in the 0." in ran.text
 
 
 @pytest.mark.parametrize("carrier", ["bytes", "CAN"])
