@@ -43,7 +43,14 @@ OF_THE_HALLS = OF_THE_MOTOR | {
 ACCUSATIONS = {
     r"has rebooted|reboots": {"reboots", "tick-back"},
     r"result +implausible: (?!the drive contradicts)": OF_THE_MOTOR | {"samples-of-the-future", "samples-of-the-past"},
-    r"contradicts itself": {"edges-uncounted", "state-9", "tick-back", "outputs-told-off"},
+    r"contradicts itself": {
+        "edges-uncounted",
+        "state-9",
+        "tick-back",
+        "outputs-told-off",
+        "samples-of-the-past",
+        "samples-of-the-future",
+    },
     r"let its motor run away": {"backwards", "setpoint-clipped"},
     r"two devices answer": set(),
     r"left RUNNING without": {"leaves-running", "foreign-stop"},
