@@ -35,6 +35,7 @@ from protocol.links import Link
 from protocol.messages import HelloReply, StreamInfo
 from protocol.payload import PayloadError
 
+OUTAGE = 3  # times that HELLO is tried for 2.5 s: a link that is out for less is no device that fell silent
 ATTEMPTS = 3  # at a check, where this program was held up
 CHECK_TAKES = 30.0  # s at most, and on a UART as long as this many bytes take:
 CHECK_BYTES = 60_000
@@ -236,8 +237,10 @@ class _Course:
         again, other = Verdict.FAIL, ""
         if not check.critical and not run.ended:  # else nothing is energised any more
             self._device.kept.clear()
-            with suppress(NoAnswer):  # of HELLO: it answers nothing any more
-                again, other = self._attempt(check)
+            for _ in range(OUTAGE):
+                with suppress(NoAnswer):  # of HELLO: it answers nothing, for now or any more
+                    again, other = self._attempt(check)
+                    break
         if again is Verdict.FAIL:
             return Verdict.FAIL, evidence
         return Verdict.INVALID, f"only at the first of two attempts: {evidence}; then {other}"
