@@ -40,17 +40,11 @@ OF_THE_HALLS = OF_THE_MOTOR | {
     "edges-after-samples",
     "n-p-zero",
 }
+MISDATED = {"samples-of-the-future", "samples-of-the-past"}
 ACCUSATIONS = {
     r"has rebooted|reboots": {"reboots", "tick-back"},
-    r"result +implausible: (?!the drive contradicts)": OF_THE_MOTOR | {"samples-of-the-future", "samples-of-the-past"},
-    r"contradicts itself": {
-        "edges-uncounted",
-        "state-9",
-        "tick-back",
-        "outputs-told-off",
-        "samples-of-the-past",
-        "samples-of-the-future",
-    },
+    r"result +implausible: (?!the drive contradicts)": OF_THE_MOTOR | MISDATED,
+    r"contradicts itself": {"edges-uncounted", "state-9", "tick-back", "outputs-told-off"} | MISDATED,
     r"let its motor run away": {"backwards", "setpoint-clipped"},
     r"two devices answer": set(),
     r"left RUNNING without": {"leaves-running", "foreign-stop"},
@@ -107,7 +101,8 @@ def judge(case: Case, seed: int, capsys: pytest.CaptureFixture[str]) -> None:
         if not faults & set(case.faults):
             assert not re.search(words, said), f"{words}\n{what}"
     if case.command in ("hall", "hall_passive") and not OF_THE_HALLS & set(case.faults):
-        assert ran.code != 1, what
+        dated = MISDATED & set(case.faults) and "the channel hall and the EDGES records contradict each other" in said
+        assert dated or ran.code != 1, what
     if not case.faults and case.command in CONFORM:
         assert not re.search(r"does not conform|checks? failed", said), what
     if ran.code == 0:
