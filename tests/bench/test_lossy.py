@@ -80,6 +80,7 @@ def test_speed_by_edges_is_by_the_drives_clock(of: Case) -> None:
     _accuses_nobody(of)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", [*ALL_LOST, *sampled("lossy runs", map(case, range(400)), 8, campaign="lossy")])
 def test_losses_accuse_nobody(of: Case) -> None:
     _accuses_nobody(of)
@@ -88,10 +89,11 @@ def test_losses_accuse_nobody(of: Case) -> None:
 @pytest.mark.parametrize("network", ["bytes", "CAN FD"])
 def test_a_drive_whose_heartbeats_are_lost_is_not_said_to_contradict_itself(network: str) -> None:
     said = []
-    for seed in range(12):
+    for seed in range(6):
         link = LosingLink(simulated(network=network), Losses(heartbeats=0.7), seed)
         try:
-            said.append(run(link, duration=0.3, speed_rpm=100.0, fit=True).summary.result)
+            few = ("hall", "status")
+            said.append(run(link, duration=0.3, speed_rpm=100.0, channels=few).summary.result)
         except (DriveFailed, NodeError) as refused:
             said.append(str(refused))
     assert not any("heartbeat says" in words or "only at attempt" in words for words in said), said
@@ -99,6 +101,7 @@ def test_a_drive_whose_heartbeats_are_lost_is_not_said_to_contradict_itself(netw
     assert all(any(way in words for way in silent) for words in said), said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", [*ALL_LOST[:1], *sampled("lossy checks", map(case, range(200)), 3, campaign="lossy")])
 def test_a_check_accuses_no_sensor_for_what_was_lost(of: Case, capsys: pytest.CaptureFixture[str]) -> None:
     link = LosingLink(simulated(of.seed, of.network, **of.config), of.losses, of.seed)

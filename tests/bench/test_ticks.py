@@ -165,6 +165,7 @@ def _leaping(path: Path, tmp_path: Path, by: int, ends: float) -> tuple[Run, Run
     return sound, Run(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("by", "ends"), [(1 << 32, 3.013), (-2 * HZ, 3.013), (3600 * HZ, 1e6), (-2 * HZ, 1e6)])
 def test_a_recording_with_times_that_leap_is_read_whole(tmp_path: Path, by: int, ends: float) -> None:
     sound, leaping = _leaping(tmp_path / "a.run", tmp_path, by, ends)

@@ -34,6 +34,7 @@ def check(text: str, seen: str) -> None:
             assert "outputs off" not in line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("way", "command", "carrier"), sampled("unsafe", CASES, 8, campaign="links"))
 def test_it_is_said_once_with_what_was_seen(
     way: str, command: str, carrier: str, capsys: pytest.CaptureFixture[str]

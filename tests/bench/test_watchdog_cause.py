@@ -153,6 +153,7 @@ def test_whatever_kept_the_watchdog_unfed_is_named(
     assert ran.code in ((0, 1, 2) if command == "hall" else (1, 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("carrier", ["bytes", "CAN"])
 @pytest.mark.parametrize("seconds", [0.25, 0.8, 4.9])
 @pytest.mark.parametrize("command", COMMANDS)
