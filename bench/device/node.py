@@ -315,9 +315,12 @@ class Node:
             raise DriveFailed(f"node {self.number} did not start: it answered START with {state.name}")
         self._vigil = Vigil(self)
 
-    def _tripped(self) -> str:
-        """That it has tripped, by which faults, and why its watchdog ran out, if it did; empty if it has not."""
-        heartbeat = self.next_heartbeat()
+    def _tripped(self, heartbeat: Heartbeat | None = None) -> str:
+        """That it has tripped, by which faults, and why its watchdog ran out, if it did; empty if it has not.
+
+        By this heartbeat, else by the next one.
+        """
+        heartbeat = heartbeat or self.next_heartbeat()
         if heartbeat is None or heartbeat.state != DriveState.FAULT:
             return ""
         unfed = self.unfed(heartbeat.faults)
@@ -404,6 +407,8 @@ class Node:
                     return
                 if self._vigil is not None and (why := self._vigil.not_running(confirmed)):
                     raise DriveFailed(f"node {self.number} {why}")
+                if tripped := self._tripped(confirmed):
+                    raise NodeError(f"node {self.number} took no setpoint, because {tripped}")
                 raise NodeError(
                     f"node {self.number} rejected the setpoint {mode.name} {value:g}: {self._why_rejected()} "
                     f"(state {confirmed.state.name}, faults: {self.fault_text()})"

@@ -70,9 +70,9 @@ class Program:
     def send(self, number: signal.Signals) -> None:
         self.process.send_signal(number)
 
-    def end(self) -> int:
-        """The exit code, once it has ended and all its lines are here."""
-        code = self.process.wait(LIMIT)
+    def end(self, limit: float = LIMIT) -> int:
+        """The exit code, once it has ended, within `limit` s, and all its lines are here."""
+        code = self.process.wait(limit)
         for reader in self._readers:
             reader.join(LIMIT)
         return code
