@@ -243,8 +243,8 @@ class Device:
             answer = self.stream_set(stream, channels, decimation, latency_ms)
             error = answer.error
             fits = error.detail if error is not None and error.code == ErrorCode.DOES_NOT_FIT else 0.0
-            if decimation < fits <= MAX_DECIMATION:
-                decimation = int(fits)
+            if 1 <= fits <= MAX_DECIMATION and decimation < MAX_DECIMATION:  # of larger ones, some may fit less
+                decimation = int(fits) if fits > decimation else min(math.ceil(1.1 * decimation), MAX_DECIMATION)
                 continue
             reply = read(require_granted(answer, "STREAM_SET").frame, StreamReply)
             if reply.load <= share or decimation == MAX_DECIMATION:

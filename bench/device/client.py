@@ -458,12 +458,12 @@ class Client:
         count = self.misdated[what] = self.misdated.get(what, 0) + 1
         if self.hello is None or (count > FEW and count & (count - 1)):
             return
-        way = "ahead of" if wrong.by > 0.0 else "behind"
         at = wrong.tick / (self.session.tick_reference(node).tick_hz or 1)
-        more = f" ({count} times so far)" if count > FEW else ""
-        text = f"node {node}: {wrong.what} dated {abs(wrong.by):.3f} s {way} {at:.3f} s, the time that it was{more}"
-        if math.isnan(wrong.by):
-            text = f"node {node}: after {at:.3f} s came what SPEC does not allow: {wrong.what}{more}"
+        words = f"after {at:.3f} s came what SPEC does not allow: {wrong.what}"
+        if not math.isnan(wrong.by):
+            way = "ahead of" if wrong.by > 0.0 else "behind"
+            words = f"{wrong.what} dated {abs(wrong.by):.3f} s {way} {at:.3f} s, the time that it was"
+        text = f"node {node}: {words}" + (f" ({count} times so far)" if count > FEW else "")
         self._untold += [Note(wrong.tick, text, "WARN"), Misdated(wrong.tick, node, text)]
         self.tell_misdated()
 
