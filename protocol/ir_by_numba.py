@@ -8,8 +8,9 @@ from typing import Any
 
 import llvmlite
 import numba
+from numba.extending import overload
 
-from protocol.machine_code import ENTRY
+from protocol.machine_code import ENTRY, KERNELS
 
 OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -19,6 +20,9 @@ OPTIONS: dict[str, Any] = {
     "_nrt": False,
 }
 """Strict IEEE arithmetic in the order of the source (no fastmath, no contraction), no references to arrays counted."""
+_INLINE: Any = {**OPTIONS, "forceinline": True}
+_known: set[Callable[..., Any]] = set()
+
 VERSIONS = f"numba {numba.__version__}, llvmlite {llvmlite.__version__}"
 _NOT_FOR_ANY_MACHINE = ("; ModuleID", "source_filename", "target ", "@_ZN08NumbaEnv")
 
@@ -30,6 +34,10 @@ def ir_by_numba(function: Callable[..., None], arguments: list[Any]) -> str:
 
     No handler of a signal may raise in here: LLVM calls Python back, and drops what is raised there.
     """
+    for kernel in KERNELS:
+        if kernel not in _known:
+            _known.add(kernel)
+            overload(kernel, jit_options=_INLINE, strict=False)(_itself(kernel))
     njit: Any = numba.njit
     types: Any = numba.types
     made = njit(**OPTIONS)(function)
@@ -43,6 +51,10 @@ def ir_by_numba(function: Callable[..., None], arguments: list[Any]) -> str:
     text = "\n".join([*lines, *_entry(arguments), ""])
     text = re.sub(r'!"_Z[^"]*"', '!""', text)  # names, with numbers that go by what was compiled before
     return text.replace(" captures(none)", "")  # LLVM before 21 does not know it
+
+
+def _itself(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda *arguments, **named: kernel
 
 
 def _entry(arguments: list[Any]) -> list[str]:

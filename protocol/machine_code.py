@@ -19,13 +19,30 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from platformdirs import user_cache_path
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 SOURCES = "sources"  # file beside the IR: the hash of the sources that it was made of, and by which versions
 KEPT = 12  # folders of other sources that are left alone: branches, two checkouts
 DIGEST = hashlib.sha256().digest_size
+
+
+KERNELS: list[Callable[..., Any]] = []
+"""All functions that `kernel` marked."""
+
+
+def kernel(function: F) -> F:
+    """A function that compiled code puts into itself: strict IEEE arithmetic, no references to arrays counted.
+
+    Arithmetic keeps to the order of the source (no fastmath, no contraction), so that the compiled and the plain
+    function agree bit for bit, but where something is divided by zero: compiled that gives an infinity or NaN. It must
+    not make an array. Called from Python it is the plain function.
+    """
+    KERNELS.append(function)
+    return function
 
 
 def hashed(paths: Iterable[Path], root: Path) -> str:
