@@ -49,7 +49,9 @@ def ir_by_numba(function: Callable[..., None], arguments: list[Any]) -> str:
     text = re.sub(rf'@"?{name}"?(?=\()', "@kernel", text)
     lines = [line for line in text.splitlines() if not line.startswith(_NOT_FOR_ANY_MACHINE)]
     text = "\n".join([*lines, *_entry(arguments), ""])
-    text = re.sub(r'!"_Z[^"]*"', '!""', text)  # names, with numbers that go by what was compiled before
+    text = re.sub(r'!"_Z[^"]*"', '!""', text)  # descriptions
+    numbers: dict[str, str] = {}  # of functions, which go by what was compiled before: now in the order of the text
+    text = re.sub(r"B\d+v(\d+)(?=B)", lambda found: numbers.setdefault(found[1], f"v{len(numbers)}"), text)
     return text.replace(" captures(none)", "")  # LLVM before 21 does not know it
 
 
