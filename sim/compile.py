@@ -47,8 +47,9 @@ class Compiled(Protocol):
     def kept(self) -> bool:
         """Whether nothing is to be compiled."""
 
-    key: str
-    """What it is kept under."""
+    @property
+    def key(self) -> str:
+        """What it is kept under."""
 
     def ir(self) -> str:
         """Its LLVM IR, by numba."""
