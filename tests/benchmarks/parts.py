@@ -33,8 +33,9 @@ PARTS = {
     "ten_times": "Recorded at ten times real time",
     "damage": "Recordings killed and damaged",
     "hour": "An hour recorded live",
+    "day": "Eight hours recorded live, beside other load of 5 % of a core",
 }
-LONG = ("ten_times", "damage", "hour")
+LONG = ("ten_times", "damage", "hour", "day")
 """Parts that take long: run in full where they are named only."""
 
 
