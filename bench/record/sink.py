@@ -21,6 +21,7 @@ from pathlib import Path
 from bench.errors import RecordingError
 from bench.record import space
 from bench.record.info import Kept, Mark, RunInfo
+from bench.record.later import Later
 from bench.record.marks import Inbox
 from bench.record.parts import Parts
 from bench.record.ring import FOR_EVER, Stored
@@ -30,6 +31,7 @@ from protocol.streams import EdgeChunk, SampleChunk
 SYNC_PERIOD = 1.0  # s: what a power cut can cost
 BACKLOG_LIMIT = 512 << 20  # bytes waiting for the disk: ten minutes of 16 kHz x 26 channels
 CLOSE_TIMEOUT = 60.0  # s for the disk to take what is left
+TURN = 0.002  # s in which all of a turn of the client comes: it is woken for once, when the client does not need the core
 INBOX_PERIOD = 0.05  # s between looks for marks that were asked for
 SPACE_PERIOD = 2.0  # s between looks at the room on the disk
 HELD_BACK = 0.001  # s between looks of a caller that is faster than the disk
@@ -77,7 +79,12 @@ class RunSink:
         if why := space.too_little(self.path, self._free_bytes()):
             raise RecordingError(f"recording {self.path}: {why}")
         self._inbox = Inbox()
-        self._parts = Parts(self.path, run, stored, overwrite, self._take_marks)
+        self._later = Later()
+        try:
+            self._parts = Parts(self.path, run, stored, overwrite, self._take_marks, self._later)
+        except BaseException:
+            self._later.close()
+            raise
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._thread.start()
 
@@ -135,11 +142,8 @@ class RunSink:
         synced = looked = asked = time.monotonic()
         try:
             while True:
-                with suppress(queue.Empty):
-                    queued = self._queue.get(timeout=INBOX_PERIOD)
-                    if queued is None:
-                        break
-                    self._write(*queued)
+                if not self._write_queued():
+                    break
                 now = time.monotonic()
                 if now - asked >= INBOX_PERIOD:
                     self._take_marks()
@@ -159,6 +163,24 @@ class RunSink:
             self._fail(_why(self.path, self._free_bytes(), error), error)
         finally:
             self._parts.writer.abandon()
+            self._later.close()
+
+    def _write_queued(self) -> bool:
+        """Write what comes within `INBOX_PERIOD`, if anything does. False at the end of it all."""
+        try:
+            queued = self._queue.get(timeout=INBOX_PERIOD)
+        except queue.Empty:
+            return True
+        if not self._wait:
+            time.sleep(TURN)
+        for _ in range(self._queue.qsize()):
+            if queued is None:
+                break
+            self._write(*queued)
+            queued = self._queue.get_nowait()
+        if queued is not None:
+            self._write(*queued)
+        return queued is not None
 
     def _write(self, item: Kept, taken: float | None) -> None:
         self._parts.take(item)

@@ -6,6 +6,7 @@ throws away the bytes that it holds when the port vanishes, and polls with calls
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import struct
@@ -18,6 +19,7 @@ from serial.tools import list_ports
 
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links.base import DescriptorLink
+from protocol.links.read_ahead import ReadAhead
 from protocol.links.rivals import rivals
 from protocol.links.target import SerialTarget
 from protocol.wire import ByteWire, HostWire
@@ -27,6 +29,7 @@ _TERMIOS2 = struct.Struct("=4I20x2I")  # c_iflag..c_lflag, c_line and c_cc, c_is
 _GONE = {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO}
 _RATE_TOLERANCE = 0.03
 BOOT = 7.0  # s after opening a port in which a board that was reset by that is waited for
+MUCH = 50_000  # bytes/s from which on a port is read ahead: a pty holds 12 KiB, 0.2 s of that
 LOOK = 0.005  # s between two looks at a port for which nothing has come
 
 
@@ -44,6 +47,8 @@ class SerialLink(DescriptorLink):
         super().__init__(target.port)
         self.target = target
         self._port: serial.Serial | None = None
+        self._ahead: ReadAhead | None = None
+        self._may_ahead = True
         self._open()
 
     def _open(self) -> None:
@@ -66,6 +71,7 @@ class SerialLink(DescriptorLink):
             opened.close()
             raise self._bad_rate(actual)
         self._port = opened
+        self._may_ahead = True
 
     @staticmethod
     def _set_minimum(fd: int) -> None:
@@ -104,8 +110,29 @@ class SerialLink(DescriptorLink):
         """See `Link.wire`."""
         return ByteWire(self.target.baud, BOOT, self.target.open_delay)
 
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        """See `Link.read`. A port that carries much is read ahead, so that a busy host loses nothing."""
+        if self._ahead is None or not self._ahead.ready():
+            data = super().read(timeout, settle)
+            if len(data) > MUCH * settle > 0.0 and self._ahead is None and self._may_ahead:
+                self._may_ahead = False
+                with contextlib.suppress(OSError):  # it is read here
+                    self._ahead = ReadAhead(self._require_open())
+            return data
+        got = self._ahead.read(timeout, settle)
+        if got is None:  # the port is gone, which another look tells, or the process is
+            self._read_here()
+            return super().read(0.0, settle)
+        return got
+
+    def _read_here(self) -> None:
+        if self._ahead is not None:
+            self._ahead.close()
+            self._ahead = None
+
     def close(self) -> None:
         """See `Link.close`."""
+        self._read_here()
         if self._port is not None:
             self._port.close()
             self._port = None
