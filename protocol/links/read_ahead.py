@@ -1,12 +1,12 @@
-"""A port read ahead by a process of its own, see `protocol.links.pump`: for ports that carry much."""
+"""A port read ahead by a process of its own, see `protocol.links.pump`: for ports that carry much, on POSIX systems."""
 
 from __future__ import annotations
 
-import fcntl
 import os
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from protocol.links.base import MAX_READ, readable
@@ -28,11 +28,8 @@ class ReadAhead:
     def __init__(self, port: int) -> None:
         self._pipe, end = os.pipe()
         try:
-            if hasattr(fcntl, "F_SETPIPE_SZ"):
-                try:
-                    fcntl.fcntl(end, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-                except OSError:  # other programs of this user have too many
-                    pass
+            _deepen(end)
+            os.set_blocking(self._pipe, False)
             self._process = subprocess.Popen(
                 [sys.executable, "-I", "-S", str(_PROGRAM), str(port)],
                 bufsize=0, stdin=subprocess.PIPE, stdout=end, stderr=subprocess.DEVNULL, pass_fds=(port,),
@@ -43,42 +40,60 @@ class ReadAhead:
             raise
         finally:
             os.close(end)
-        os.set_blocking(self._pipe, False)
         self.pid = self._process.pid
-        self._ready = False
+        self._waits = [self._process.stdin]  # it reads once this is closed; a signal's exception may come at any time
+        self._process.stdin = None
         self._read = 0.0  # s of the monotonic clock, when something was read
         self._behind = False  # more waits than one read returns
 
     def ready(self) -> bool:
-        """Whether it reads: from then on nobody else may."""
-        if not self._ready and readable(self._pipe, 0.0) and os.read(self._pipe, 1) == READY:
-            assert self._process.stdin is not None
-            self._process.stdin.write(b"\0")
-            self._ready = True
-        return self._ready
+        """Whether it reads, or has ended: from now on nobody else may read before `read` has returned None."""
+        if self._waits and readable(self._pipe, 0.0):
+            os.read(self._pipe, len(READY))
+            file = self._waits.pop()  # closed, at the latest, when nobody has it any more
+            assert file is not None
+            file.close()
+        return not self._waits
 
     def read(self, timeout: float, settle: float) -> bytes | None:
-        """As `Link.read`; None if it has ended. What goes on coming is fetched once in both times together."""
-        more = self._read + timeout + settle - time.monotonic() if settle > 0.0 else 0.0
-        if self._behind:
-            more = 0.0
-        elif more <= 0.0:
-            if not readable(self._pipe, max(0.0, timeout)):
-                return b""
-            more = settle
-        if more > 0.0:
-            time.sleep(more)
+        """As `Link.read`; None if it has ended. What goes on coming is fetched every `timeout` + `settle` s, or 2 `settle`.
+
+        So a reader of a stream wakes once for it, and not for its first bytes, too.
+        """
+        now = time.monotonic()
+        until, pause = now + timeout, self._read + settle + min(timeout, settle) - now
+        if settle > 0.0 and (self._behind or pause > 0.0):
+            if not self._behind:
+                time.sleep(pause)
+            if (data := self._take()) != b"":
+                return data
+        if not readable(self._pipe, max(0.0, until - time.monotonic())):
+            return b""
+        if settle > 0.0:
+            time.sleep(settle)
+        return self._take()
+
+    def _take(self) -> bytes | None:
         try:
             data = os.read(self._pipe, MAX_READ)
         except BlockingIOError:
+            self._behind = False
             return b""
         self._read, self._behind = time.monotonic(), len(data) == MAX_READ
         return data or None
 
     def close(self) -> None:
         """End it."""
+        self._waits.clear()
         self._process.kill()
         self._process.wait()
         os.close(self._pipe)
-        assert self._process.stdin is not None
-        self._process.stdin.close()
+
+
+def _deepen(pipe: int) -> None:
+    """Have it hold as much as this system lets one user's pipe hold."""
+    import fcntl
+
+    if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
+        with suppress(OSError):  # other programs of this user hold too much
+            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)

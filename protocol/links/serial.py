@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import os
 import struct
 import sys
 import termios
@@ -48,7 +49,7 @@ class SerialLink(DescriptorLink):
         self.target = target
         self._port: serial.Serial | None = None
         self._ahead: ReadAhead | None = None
-        self._may_ahead = True
+        self._may_ahead = False  # be read ahead: once after it was opened
         self._open()
 
     def _open(self) -> None:
@@ -71,7 +72,7 @@ class SerialLink(DescriptorLink):
             opened.close()
             raise self._bad_rate(actual)
         self._port = opened
-        self._may_ahead = True
+        self._may_ahead = os.name == "posix"
 
     @staticmethod
     def _set_minimum(fd: int) -> None:
@@ -103,7 +104,7 @@ class SerialLink(DescriptorLink):
 
     def oddities(self) -> list[str]:
         """Why nothing may come, if that is known: another program has the port open, too."""
-        names = " and ".join(rivals(self.target.port))
+        names = " and ".join(rivals(self.target.port, 0 if self._ahead is None else self._ahead.pid))
         return [f"{names} has {self.target.port} open, too, and may take what comes: close it"] if names else []
 
     def wire(self) -> HostWire:
@@ -111,19 +112,19 @@ class SerialLink(DescriptorLink):
         return ByteWire(self.target.baud, BOOT, self.target.open_delay)
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
-        """See `Link.read`. A port that carries much is read ahead, so that a busy host loses nothing."""
-        if self._ahead is None or not self._ahead.ready():
-            data = super().read(timeout, settle)
-            if len(data) > MUCH * settle > 0.0 and self._ahead is None and self._may_ahead:
-                self._may_ahead = False
-                with contextlib.suppress(OSError):  # it is read here
-                    self._ahead = ReadAhead(self._require_open())
-            return data
-        got = self._ahead.read(timeout, settle)
-        if got is None:  # the port is gone, which another look tells, or the process is
-            self._read_here()
-            return super().read(0.0, settle)
-        return got
+        """See `Link.read`. A port that carries much is read ahead, so that a busy host loses nothing of it."""
+        if self._ahead is not None and not self._held and self._ahead.ready():
+            got = self._ahead.read(timeout, settle)
+            if got is not None:
+                return got
+            self._read_here()  # the port is gone, which it tells itself, or that process is
+            timeout = 0.0
+        data = super().read(timeout, settle)
+        if len(data) > MUCH * settle > 0.0 and self._may_ahead:
+            self._may_ahead = False
+            with contextlib.suppress(OSError):  # it is read from here
+                self._ahead = ReadAhead(self._require_open())
+        return data
 
     def _read_here(self) -> None:
         if self._ahead is not None:
