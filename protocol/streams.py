@@ -554,8 +554,8 @@ def _progressions(starts: Sequence[tuple[int, int]], step: int) -> I64:
     """Return start, start + step, … with n members for each (start, n), joined."""
     if len(starts) == 1:
         ((start, n),) = starts
-        return np.arange(start, start + n * step, step, np.int64)
-    return np.concatenate([np.arange(start, start + n * step, step, np.int64) for start, n in starts])
+        return np.arange(start, start + n * step, step, dtype=np.int64)
+    return np.concatenate([np.arange(start, start + n * step, step, dtype=np.int64) for start, n in starts])
 
 
 def _signed32(value: int) -> int:

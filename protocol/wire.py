@@ -126,7 +126,7 @@ class ByteWire:
         """See `HostWire.feed`; stream frames between two messages are one batch a stream."""
         out: list[bytes | StreamFrames] = []
         groups: dict[tuple[int, int, int], list[bytes]] = {}
-        same, add = b"", out.append  # where the frames go that begin like the one before
+        same, group = b"", list[bytes]()  # of the frame before: how it begins, and where such frames go
         for raw in self._deframer.feed(data):
             if (head := raw[:_HEAD]) != same:
                 kind = raw[0]
@@ -136,8 +136,8 @@ class ByteWire:
                     out.append(raw)
                     same = b""
                     continue
-                same, add = head, groups.setdefault((kind, raw[6], raw[8]), []).append
-            add(raw)
+                same, group = head, groups.setdefault((kind, raw[6], raw[8]), [])
+            group.append(raw)
         return out + _batches(groups)
 
     def decoder(self, config: StreamConfig, reference: TickReference) -> Decoder:

@@ -10,7 +10,7 @@ import select
 import sys
 
 READY = b"\0"
-_AT_ONCE = 65536  # bytes
+_AT_ONCE = 16384  # bytes
 
 
 def pump(port: int, wait: int, pipe: int) -> None:
@@ -20,14 +20,16 @@ def pump(port: int, wait: int, pipe: int) -> None:
     ends = select.poll()
     ends.register(port, select.POLLIN)
     ends.register(pipe, 0)  # an error when its other end has been closed
-    while all(end != pipe for end, _ in ends.poll()):
+    held = bytearray(_AT_ONCE)
+    there = memoryview(held)
+    while pipe not in dict(ends.poll()):
         try:
-            data = os.read(port, _AT_ONCE)
+            n = os.readv(port, (held,))
         except BlockingIOError:  # somebody else took it
             continue
-        if not data:
+        if not n:
             return
-        os.write(pipe, data)
+        os.write(pipe, there[:n])
 
 
 if __name__ == "__main__":

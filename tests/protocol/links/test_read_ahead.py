@@ -224,7 +224,9 @@ def test_a_host_that_is_killed_leaves_none_behind(port: PtyPort, streaming: bool
             port.write(bytes(100))
         time.sleep(0.005)
         with suppress(ChildProcessError, OSError):
-            if Path("/proc", str(pid), "stat").read_text().split(") ")[1].startswith("Z"):  # whoever inherits it is slow
+            if (
+                Path("/proc", str(pid), "stat").read_text().split(") ")[1].startswith("Z")
+            ):  # whoever inherits it is slow
                 break
     else:
         assert not Path("/proc", str(pid)).exists()
