@@ -56,9 +56,9 @@ class ReadAhead:
         return not self._waits
 
     def read(self, timeout: float, settle: float) -> bytes | None:
-        """As `Link.read`; None if it has ended. What goes on coming is fetched every `timeout` + `settle` s, or 2 `settle`.
+        """As `Link.read`; None if it has ended. After a read the next one first sleeps for both times.
 
-        So a reader of a stream wakes once for it, and not for its first bytes, too.
+        So whoever reads a stream wakes once for each piece of it, and not for its first bytes, too.
         """
         now = time.monotonic()
         until, pause = now + timeout, self._read + settle + min(timeout, settle) - now
