@@ -49,7 +49,7 @@ class SerialLink(DescriptorLink):
         self.target = target
         self._port: serial.Serial | None = None
         self._ahead: ReadAhead | None = None
-        self._may_ahead = False  # be read ahead: once after it was opened
+        self._much = False  # whether much is expected of it
         self._open()
 
     def _open(self) -> None:
@@ -72,7 +72,8 @@ class SerialLink(DescriptorLink):
             opened.close()
             raise self._bad_rate(actual)
         self._port = opened
-        self._may_ahead = os.name == "posix"
+        if self._much:
+            self._read_ahead()
 
     @staticmethod
     def _set_minimum(fd: int) -> None:
@@ -111,20 +112,26 @@ class SerialLink(DescriptorLink):
         """See `Link.wire`."""
         return ByteWire(self.target.baud, BOOT, self.target.open_delay)
 
+    def expect(self, rate: float) -> None:
+        """So many bytes/s will come. Of much a busy host would lose some: then the port is read ahead from now on."""
+        if rate > MUCH and not self._much:
+            self._much = True
+            self._read_ahead()
+
+    def _read_ahead(self) -> None:
+        if os.name == "posix":
+            with contextlib.suppress(OSError):  # else it is read from here
+                self._ahead = ReadAhead(self._require_open())
+
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
-        """See `Link.read`. A port that carries much is read ahead, so that a busy host loses nothing of it."""
+        """See `Link.read`."""
         if self._ahead is not None and not self._held and self._ahead.ready():
             got = self._ahead.read(timeout, settle)
             if got is not None:
                 return got
             self._read_here()  # the port is gone, which it tells itself, or that process is
             timeout = 0.0
-        data = super().read(timeout, settle)
-        if len(data) > MUCH * settle > 0.0 and self._may_ahead:
-            self._may_ahead = False
-            with contextlib.suppress(OSError):  # it is read from here
-                self._ahead = ReadAhead(self._require_open())
-        return data
+        return super().read(timeout, settle)
 
     def _read_here(self) -> None:
         if self._ahead is not None:

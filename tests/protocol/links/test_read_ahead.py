@@ -22,6 +22,7 @@ from protocol.links.serial import SerialLink
 from sim.ports.byte_ports import PtyPort
 
 TURN = 0.02  # s, of the client
+MUCH = 1e6  # bytes/s
 LIMIT = 20.0  # s, on a busy machine
 DEEP = 200_000  # bytes: many times what a pty holds
 
@@ -69,7 +70,8 @@ class Stream:
 def stream(port: PtyPort, link: SerialLink) -> Stream:
     """A stream whose port is read ahead: what came until then came, too."""
     stream, end = Stream(port), time.monotonic() + LIMIT
-    while (link._ahead is None or not link._ahead.ready()) and time.monotonic() < end:
+    link.expect(MUCH)
+    while not (link._ahead is not None and link._ahead.ready()) and time.monotonic() < end:
         assert stream.put(3000)
         stream.take(link)
     assert link._ahead is not None
@@ -90,6 +92,7 @@ def test_a_port_that_is_not_read_ahead_takes_no_more_than_it_holds(port: PtyPort
 
 def test_all_comes_in_order_from_before_it_is_read_ahead_on(port: PtyPort, link: SerialLink) -> None:
     stream = Stream(port)
+    link.expect(MUCH)
     writer = threading.Thread(target=lambda: stream.put(DEEP))
     writer.start()
     while writer.is_alive():
@@ -100,16 +103,10 @@ def test_all_comes_in_order_from_before_it_is_read_ahead_on(port: PtyPort, link:
     assert link._ahead is not None
 
 
-def test_a_slow_port_is_not_read_ahead(port: PtyPort, link: SerialLink) -> None:
-    for _ in range(5):
-        port.write(bytes(500))  # 25 kB/s
-        assert link.read(TURN, TURN)
-    assert link._ahead is None
-
-
-def test_a_burst_of_replies_is_no_stream(port: PtyPort, link: SerialLink) -> None:
-    port.write(bytes(4000))
-    assert link.read(TURN)
+def test_a_port_of_which_little_is_expected_is_not_read_ahead(port: PtyPort, link: SerialLink) -> None:
+    link.expect(11_520)
+    port.write(bytes(500))
+    assert link.read(TURN, TURN)
     assert link._ahead is None
 
 
@@ -195,7 +192,8 @@ HOST = """
 import sys, time
 from protocol.links import open_link
 link = open_link(sys.argv[1])
-while link._ahead is None or not link._ahead.ready():
+link.expect(1e6)
+while not link._ahead.ready():
     link.read(0.02, 0.02)
 print(link._ahead.pid, flush=True)
 sys.stdin.read()
