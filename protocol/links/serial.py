@@ -119,7 +119,7 @@ class SerialLink(DescriptorLink):
             self._read_ahead()
 
     def _read_ahead(self) -> None:
-        if os.name == "posix":
+        if os.name == "posix" and sys.executable:
             with contextlib.suppress(OSError):  # else it is read from here
                 self._ahead = ReadAhead(self._require_open())
 

@@ -19,7 +19,7 @@ WARM = 120.0  # s after which memory is looked at: everything has been imported,
 def rows(short: bool) -> Iterator[Row]:
     """The hour, live, recorded."""
     seconds, warm = (4.0, 1.0) if short else (3600.0, WARM)
-    summary, streamed, _, memory = run(seconds, ["--tcp", "127.0.0.1:0"], ["--speed", "1000"])
+    summary, streamed, _, _, memory = run(seconds, ["--tcp", "127.0.0.1:0"], ["--speed", "1000"])
     most, flat, slope = memory.after(warm)
     rate = summary["recording"]["bytes"] / summary["duration_s"]
     least = round(0.999 * seconds * 16000)
