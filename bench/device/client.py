@@ -500,6 +500,9 @@ class Client:
         if config.stream in streams.decoders:
             self._closed[config.node] = _added(self._closed.get(config.node), [streams.decoders[config.stream]])
         streams.decoders[config.stream] = decoder
+        expect: Callable[[float], None] | None = getattr(self.link, "expect", None)
+        if config.channels and expect is not None:  # a link that can be told
+            expect(config.rate * config.dtype.itemsize)
 
     def streams_started(self, node: int) -> None:
         """The streams of `node` have just been started: what it makes from now on is to come."""

@@ -15,6 +15,7 @@ from bench.files import is_run
 from bench.record import layout
 from bench.record.folder import remove
 from bench.record.info import Kept, RunInfo
+from bench.record.later import Later
 from bench.record.ring import Stored
 from bench.record.writer import RunWriter
 from bench.signal.chunks import END, between
@@ -30,9 +31,16 @@ class Parts:
     """
 
     def __init__(
-        self, target: Path, run: RunInfo, stored: Stored, overwrite: bool, before_end: Callable[[], None]
+        self,
+        target: Path,
+        run: RunInfo,
+        stored: Stored,
+        overwrite: bool,
+        before_end: Callable[[], None],
+        later: Later | None = None,
     ) -> None:
-        """`before_end` is called before a part ends and the next one begins."""
+        """`before_end` is called before a part ends and the next one begins; `later` as for `RunWriter`."""
+        self._later = later
         self._target, self._run, self._overwrite = target, run, overwrite
         self._before_end = before_end
         self._keep, self._split = stored.keep, stored.split
@@ -97,11 +105,12 @@ class Parts:
 
     def _new_writer(self, run: RunInfo, old: RunWriter | None = None) -> RunWriter:
         if self._split is None:
-            return RunWriter(self._target, run, self._overwrite, self._keep)
+            return RunWriter(self._target, run, self._overwrite, self._keep, later=self._later)
         number = len(self._ended) + 1
         run = replace(run, identity={**run.identity, "part": number})
         account = None if old is None else old.account.following()
-        return RunWriter(layout.part_name(self._target, number), run, self._overwrite, account=account)
+        path = layout.part_name(self._target, number)
+        return RunWriter(path, run, self._overwrite, account=account, later=self._later)
 
     def _clear(self) -> None:
         """Make room for the parts."""

@@ -21,6 +21,7 @@ from pathlib import Path
 from bench.errors import RecordingError
 from bench.record import space
 from bench.record.info import Kept, Mark, RunInfo
+from bench.record.later import Later
 from bench.record.marks import Inbox
 from bench.record.parts import Parts
 from bench.record.ring import FOR_EVER, Stored
@@ -30,7 +31,7 @@ from protocol.streams import EdgeChunk, SampleChunk
 SYNC_PERIOD = 1.0  # s: what a power cut can cost
 BACKLOG_LIMIT = 512 << 20  # bytes waiting for the disk: ten minutes of 16 kHz x 26 channels
 CLOSE_TIMEOUT = 60.0  # s for the disk to take what is left
-INBOX_PERIOD = 0.05  # s between looks for marks that were asked for
+INBOX_PERIOD = 0.05  # s between looks for marks that were asked for, and for what came without a call
 SPACE_PERIOD = 2.0  # s between looks at the room on the disk
 HELD_BACK = 0.001  # s between looks of a caller that is faster than the disk
 
@@ -70,21 +71,27 @@ class RunSink:
         self.error: RecordingError | None = None
         self._raised = False
         self._wait, self._now = wait, now
-        self._queue: queue.SimpleQueue[_Queued | None] = queue.SimpleQueue()
+        self._coming: deque[_Queued] = deque()
+        self._call: queue.SimpleQueue[bool] = queue.SimpleQueue()  # of the thread: to go on, or to end
         self._backlog = 0
         self._counting = threading.Lock()  # no Condition: Ctrl-C in the middle of its methods would leave it locked
         self._room = space.Room(stored.keep or math.inf)
         if why := space.too_little(self.path, self._free_bytes()):
             raise RecordingError(f"recording {self.path}: {why}")
         self._inbox = Inbox()
-        self._parts = Parts(self.path, run, stored, overwrite, self._take_marks)
+        self._later = Later()
+        try:
+            self._parts = Parts(self.path, run, stored, overwrite, self._take_marks, self._later)
+        except BaseException:
+            self._later.close()
+            raise
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._thread.start()
 
     # -- what comes ---------------------------------------------------------------------------------------------
 
     def take(self, item: Kept) -> None:
-        """Have an item written; from any thread."""
+        """Have an item written: with the next `check`, or a moment later; from any thread."""
         if self.error is not None:
             return
         taken: float | None = None
@@ -96,7 +103,7 @@ class RunSink:
         elif self._backlog > BACKLOG_LIMIT:
             self._fail(f"{self._backlog >> 20} MiB wait to be written; use a faster disk, --rate or --channels")
         self._count(_size(item))
-        self._queue.put((item, taken))
+        self._coming.append((item, taken))
 
     @property
     def parts(self) -> tuple[Path, ...]:
@@ -117,14 +124,19 @@ class RunSink:
 
     def close(self) -> None:
         """Write what is left and end the run. Raises RecordingError if that fails and nothing was raised before."""
-        self._queue.put(None)
+        self._call.put(False)
         self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
             self._fail(f"{self._backlog >> 20} MiB could not be written within {CLOSE_TIMEOUT:g} s; the end is missing")
         self.check()
 
     def check(self) -> None:
-        """Raise RecordingError, once, if the recording has failed."""
+        """Have all written that has come: once a turn, when whoever calls needs the core no more.
+
+        Raises RecordingError, once, if the recording has failed.
+        """
+        if self._coming and self.error is None:
+            self._call.put(True)
         if self.error is not None and not self._raised:
             self._raised = True
             raise self.error
@@ -135,11 +147,8 @@ class RunSink:
         synced = looked = asked = time.monotonic()
         try:
             while True:
-                with suppress(queue.Empty):
-                    queued = self._queue.get(timeout=INBOX_PERIOD)
-                    if queued is None:
-                        break
-                    self._write(*queued)
+                if not self._write_queued():
+                    break
                 now = time.monotonic()
                 if now - asked >= INBOX_PERIOD:
                     self._take_marks()
@@ -159,6 +168,16 @@ class RunSink:
             self._fail(_why(self.path, self._free_bytes(), error), error)
         finally:
             self._parts.writer.abandon()
+            self._later.close()
+
+    def _write_queued(self) -> bool:
+        """Write what has come when it is called, or after `INBOX_PERIOD`. False at the end of it all."""
+        goes_on = True
+        with suppress(queue.Empty):
+            goes_on = self._call.get(timeout=INBOX_PERIOD)
+        for _ in range(len(self._coming)):
+            self._write(*self._coming.popleft())
+        return goes_on
 
     def _write(self, item: Kept, taken: float | None) -> None:
         self._parts.take(item)

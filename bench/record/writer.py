@@ -9,8 +9,10 @@ time: first its line `removed` is on the disk, then its files go.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from bench.device.losses import LossAccount
 from bench.record import journal, layout
 from bench.record.folder import RunFolder, SegmentFile, append_to, write_all
 from bench.record.info import Kept, Mark, RunInfo, SummaryText, stream_to_json
+from bench.record.later import Later
 from bench.record.layout import Columns
 from bench.record.overview import BIN, Overview
 from bench.record.ring import Ring
@@ -51,10 +54,12 @@ class RunWriter:
         keep: float | None = None,
         account: LossAccount | None = None,
         whole: bool = False,
+        later: Later | None = None,
     ) -> None:
         """`keep`: s of device time that a ring holds, see `bench.record.ring`; `account`: of what went before.
 
-        `whole`: it appears when it is closed, not when it is begun.
+        `whole`: it appears when it is closed, not when it is begun. `later`: what does all that can wait, once the
+        journal has what came; it is done at once by default.
         """
         self.path, self.info = path, info
         self.account = account or LossAccount()
@@ -75,6 +80,7 @@ class RunWriter:
         self._line = self._folder.line
         self._journal = append_to(self._folder.path / layout.journal_name(1))
         self._whole = whole
+        self._later = later
         if not whole:
             self._folder.put_in_place()
 
@@ -140,8 +146,19 @@ class RunWriter:
 
     def sync(self) -> None:
         """Have the disk take what was written, so that a power cut costs no more than what comes after."""
-        os.fdatasync(self._journal)
-        self._folder.sync()
+        self._do(partial(os.fdatasync, self._journal))
+        self._do(self._folder.sync)
+
+    def _do(self, work: Callable[[], object]) -> None:
+        if self._later is None:
+            work()
+        else:
+            self._later.do(work)
+
+    def _wait(self) -> None:
+        """Until all that could wait has been done."""
+        if self._later is not None:
+            self._later.wait()
 
     def close(self) -> None:
         """End the run."""
@@ -152,6 +169,7 @@ class RunWriter:
             lost = {name: n for name, n in self.account.counters.items() if n}
             self._line({"kind": "end", "samples": self.samples_written, "edges": self.edges_written, "lost": lost})
             self.sync()
+            self._wait()
             (self._folder.path / layout.journal_name(self._number)).unlink()
             (self._folder.path / layout.ASKED).unlink(missing_ok=True)
             if self._whole:
@@ -161,6 +179,8 @@ class RunWriter:
 
     def abandon(self) -> None:
         """Let go of the files, as they are: the run stays readable up to here."""
+        with suppress(Exception):  # that is told already
+            self._wait()
         for file in [stream.file for stream in self._streams.values()] + [self._overview_file]:
             if file is not None:
                 file.discard()
@@ -189,7 +209,7 @@ class RunWriter:
         self._seen(chunk.config.node, last)
         if last - int(stream.pending[0].tick[0]) >= PIECE * hz:
             self._piece(stream, last - last % round(BIN * hz))
-        if stream.pieces and last - stream.pieces[0].first >= ROW_GROUP * hz:
+        if stream.group is not None and last - stream.group >= ROW_GROUP * hz:
             self._row_group(stream)
 
     def _piece(self, stream: _Stream, end: int | None = None) -> None:
@@ -205,6 +225,10 @@ class RunWriter:
             if not n:
                 return
             whole = part(whole, 0, n)
+        stream.group = int(whole.tick[0]) if stream.group is None else stream.group
+        self._do(partial(self._columns, stream, whole))
+
+    def _columns(self, stream: _Stream, whole: Chunk) -> None:
         overview = None
         if stream.name == layout.SAMPLES and isinstance(whole, SampleChunk):
             if self._overview is None:
@@ -215,18 +239,21 @@ class RunWriter:
 
     def _row_group(self, stream: _Stream) -> None:
         """Move the pieces of a stream to its file."""
-        if not stream.pieces:
-            return
+        if stream.group is not None:
+            stream.group = None
+            self._do(partial(self._write_group, stream, self._number))
+
+    def _write_group(self, stream: _Stream, segment: int) -> None:
         pieces, stream.pieces = stream.pieces, []
         span = pieces[0].first, pieces[-1].last
         if stream.file is None:
-            stream.file = SegmentFile(self._folder.path, stream.name, self._number, stream.columns)
+            stream.file = SegmentFile(self._folder.path, stream.name, segment, stream.columns)
         stream.file.add(layout.joined([piece.table for piece in pieces]), *span)
         overviews = [piece.overview for piece in pieces if piece.overview is not None]
         if overviews and self._overview is not None:
             if self._overview_file is None:
                 columns = self._overview.columns
-                self._overview_file = SegmentFile(self._folder.path, layout.OVERVIEW, self._number, columns)
+                self._overview_file = SegmentFile(self._folder.path, layout.OVERVIEW, segment, columns)
             self._overview_file.add(layout.joined(overviews), *span)
 
     def _end_segment(self) -> None:
@@ -234,6 +261,7 @@ class RunWriter:
         for stream in self._streams.values():
             self._piece(stream)
             self._row_group(stream)
+        self._wait()
         open_files = [stream.file for stream in self._streams.values()] + [self._overview_file]
         files = [file.finish() for file in open_files if file is not None]
         self._overview_file = None
@@ -304,6 +332,7 @@ class _Stream:
     number: int
     columns: Columns
     pending: list[Any] = field(default_factory=list)
+    group: int | None = None  # first tick of the pieces that have not been told to go to the file
     pieces: list[_Piece] = field(default_factory=list)
     file: SegmentFile | None = None
     last: int = -1  # tick, in this segment

@@ -9,22 +9,29 @@ from pathlib import Path
 PROC = Path("/proc")
 
 
-def rivals(port: str) -> list[str]:
+def rivals(port: str, but: int = 0) -> list[str]:
     """Other programs that have `port` open, as "cat (pid 4711)"; those of other users only if this one may look.
 
-    The other end of a pty, which may have its port open to keep it alive, is none. Nothing but on Linux.
+    The other end of a pty, which may have its port open to keep it alive, is none, nor is process `but`. Nothing but on
+    Linux.
     """
     try:
         wanted = os.stat(port).st_rdev
         processes = sorted(int(entry.name) for entry in PROC.iterdir() if entry.name.isdecimal())
     except OSError:
         return []
-    found = []
+    found: dict[int, str] = {}
     for pid in processes:
-        if pid != os.getpid() and _has_open(PROC / str(pid), port, wanted):
+        if pid not in (os.getpid(), but) and _has_open(PROC / str(pid), port, wanted):
             with suppress(OSError):
-                found.append(f"{(PROC / str(pid) / 'comm').read_text().strip()} (pid {pid})")
-    return found
+                if _parent(PROC / str(pid)) not in found:  # else that has it read ahead
+                    found[pid] = f"{(PROC / str(pid) / 'comm').read_text().strip()} (pid {pid})"
+    return list(found.values())
+
+
+def _parent(process: Path) -> int:
+    (line,) = (line for line in (process / "status").read_text().splitlines() if line.startswith("PPid:"))
+    return int(line.split()[1])
 
 
 def _has_open(process: Path, port: str, wanted: int) -> bool:

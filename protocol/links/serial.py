@@ -6,8 +6,10 @@ throws away the bytes that it holds when the port vanishes, and polls with calls
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
+import os
 import struct
 import sys
 import termios
@@ -18,6 +20,7 @@ from serial.tools import list_ports
 
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links.base import DescriptorLink
+from protocol.links.read_ahead import ReadAhead
 from protocol.links.rivals import rivals
 from protocol.links.target import SerialTarget
 from protocol.wire import ByteWire, HostWire
@@ -27,6 +30,7 @@ _TERMIOS2 = struct.Struct("=4I20x2I")  # c_iflag..c_lflag, c_line and c_cc, c_is
 _GONE = {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO}
 _RATE_TOLERANCE = 0.03
 BOOT = 7.0  # s after opening a port in which a board that was reset by that is waited for
+MUCH = 50_000  # bytes/s from which on a port is read ahead: a pty holds 12 KiB, 0.2 s of that
 LOOK = 0.005  # s between two looks at a port for which nothing has come
 
 
@@ -44,6 +48,8 @@ class SerialLink(DescriptorLink):
         super().__init__(target.port)
         self.target = target
         self._port: serial.Serial | None = None
+        self._ahead: ReadAhead | None = None
+        self._much = False  # whether much is expected of it
         self._open()
 
     def _open(self) -> None:
@@ -66,6 +72,8 @@ class SerialLink(DescriptorLink):
             opened.close()
             raise self._bad_rate(actual)
         self._port = opened
+        if self._much:
+            self._read_ahead()
 
     @staticmethod
     def _set_minimum(fd: int) -> None:
@@ -97,15 +105,42 @@ class SerialLink(DescriptorLink):
 
     def oddities(self) -> list[str]:
         """Why nothing may come, if that is known: another program has the port open, too."""
-        names = " and ".join(rivals(self.target.port))
+        names = " and ".join(rivals(self.target.port, 0 if self._ahead is None else self._ahead.pid))
         return [f"{names} has {self.target.port} open, too, and may take what comes: close it"] if names else []
 
     def wire(self) -> HostWire:
         """See `Link.wire`."""
         return ByteWire(self.target.baud, BOOT, self.target.open_delay)
 
+    def expect(self, rate: float) -> None:
+        """So many bytes/s will come. Of much a busy host would lose some: then the port is read ahead from now on."""
+        if rate > MUCH and not self._much:
+            self._much = True
+            self._read_ahead()
+
+    def _read_ahead(self) -> None:
+        if os.name == "posix" and sys.executable:
+            with contextlib.suppress(OSError):  # else it is read from here
+                self._ahead = ReadAhead(self._require_open())
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        """See `Link.read`."""
+        if self._ahead is not None and not self._held and self._ahead.ready():
+            got = self._ahead.read(timeout, settle)
+            if got is not None:
+                return got
+            self._read_here()  # the port is gone, which it tells itself, or that process is
+            timeout = 0.0
+        return super().read(timeout, settle)
+
+    def _read_here(self) -> None:
+        if self._ahead is not None:
+            self._ahead.close()
+            self._ahead = None
+
     def close(self) -> None:
         """See `Link.close`."""
+        self._read_here()
         if self._port is not None:
             self._port.close()
             self._port = None

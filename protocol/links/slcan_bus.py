@@ -8,6 +8,7 @@ later it counts them.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -150,6 +151,7 @@ class SlcanBus(can.BusABC):
         try:
             time.sleep(options.sleep_after_open)
             self._start(commands)
+            self._port.expect(math.inf)  # a bus carries what others send
             super().__init__(options.channel, options.can_filters)
         except (LinkError, OSError) as error:
             self._port.close()

@@ -88,7 +88,7 @@ class Program:
 class Sim(Program):
     """`bench sim`; `target` is what it says to connect with."""
 
-    def __init__(self, *arguments: str) -> None:
-        super().__init__("bench", "sim", *arguments)
+    def __init__(self, *arguments: str, limit_resources: Callable[[], None] | None = None) -> None:
+        super().__init__("bench", "sim", *arguments, limit_resources=limit_resources)
         self.target = self.line("^target: (.*)").group(1)
         self.line("^simulated drive")

@@ -90,7 +90,7 @@ def rows(short: bool) -> Iterator[Row]:
     yield from _decoding(frames, repeat)
     # 4000 frames of samples and, at 3000 r/min, some 1200 of edges a second
     where = ["--slcan", "--fd", "--bitrate", str(FD.bitrate), "--data-bitrate", str(FD.data_bitrate)]
-    summary, streamed, drive_cpu, _ = run(seconds, where, ["--speed", "3000", "--channels", ",".join(CHANNELS)])
+    summary, streamed, drive_cpu, _, _ = run(seconds, where, ["--speed", "3000", "--channels", ",".join(CHANNELS)])
     what = f"slcan on a pty, {FD}, {streamed}"
     yield Row(f"{what}: frames", summary["bus"]["frames"] / summary["duration_s"], "frames/s", 5000)
     yield Row(f"samples in {seconds:g} s", summary["samples"], "", round(0.99 * seconds * 16000))

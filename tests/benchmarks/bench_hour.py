@@ -23,7 +23,7 @@ def rows(short: bool) -> Iterator[Row]:
 
 def recorded(seconds: float, warm: float) -> Iterator[Row]:
     """So many s, live, recorded; memory is looked at after `warm` s."""
-    summary, streamed, _, memory = run(seconds, ["--tcp", "127.0.0.1:0"], ["--speed", "1000"])
+    summary, streamed, _, _, memory = run(seconds, ["--tcp", "127.0.0.1:0"], ["--speed", "1000"])
     most, flat, slope = memory.after(warm)
     rate = summary["recording"]["bytes"] / summary["duration_s"]
     least = round(0.999 * seconds * 16000)

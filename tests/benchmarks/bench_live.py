@@ -29,6 +29,7 @@ class Live(NamedTuple):
     summary: dict[str, Any]
     streamed: str  # channels and rate, as the recording has them
     drive_cpu: float  # of the simulated drive's process, % of a core
+    reader_cpu: float  # of the process that reads the port for the host, % of a core
     memory: Memory  # of the host, meanwhile
 
 
@@ -47,7 +48,7 @@ def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> Live:
         summary, after = json.loads(printed), drive.cpu_times()
         streamed = streamed_in(Run(file))
     cpu = 100 * (after.user + after.system - before.user - before.system) / summary["duration_s"]
-    return Live(summary, streamed, cpu, memory)
+    return Live(summary, streamed, cpu, 100 * memory.children_cpu / summary["duration_s"], memory)
 
 
 def streamed_in(run: Run) -> str:
@@ -72,7 +73,7 @@ def account(summary: dict[str, Any]) -> list[Row]:
 def rows(short: bool) -> list[Row]:
     """Run it for a minute; and a third of one with all channels, of which a pty just holds what comes in 7 ms."""
     seconds = 2.0 if short else 60.0
-    summary, streamed, drive_cpu, _ = run(seconds, ["--pty"], ["--speed", "1000"])
+    summary, streamed, drive_cpu, reader_cpu, _ = run(seconds, ["--pty"], ["--speed", "1000"])
     every = ",".join(channel.name for channel in DRIVE_CHANNELS)
     whole = run(seconds / 3.0, ["--pty"], ["--speed", "1000", "--channels", every])
     lost = whole.summary["lost"]["samples_by_index"]
@@ -80,6 +81,7 @@ def rows(short: bool) -> list[Row]:
         Row(f"samples in {seconds:g} s, {streamed}", summary["samples"], "", round(0.99 * seconds * 16000)),
         *account(summary),
         cost(f"host with recording, {streamed} and edges", summary["cpu_percent"], "% of a core", 8),
+        cost(f"process that reads the port, {streamed} and edges", reader_cpu, "% of a core"),
         cost(f"simulated drive in real time, {streamed} and edges", drive_cpu, "% of a core", 5),
         Row("sample to sink, median", summary["latency_ms"]["p50"], "ms", at_most=True),
         Row("sample to sink, p99", summary["latency_ms"]["p99"], "ms", 100, at_most=True),

@@ -18,6 +18,8 @@ class Memory:
     def __init__(self, pid: int) -> None:
         self._process = psutil.Process(pid)
         self._found: list[tuple[float, int]] = []
+        self.children_cpu = 0.0
+        """s of CPU time that its children have taken, those that are there at a time."""
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._look, daemon=True)
         self._thread.start()
@@ -27,6 +29,8 @@ class Memory:
         while not self._end.wait(0.5):
             try:
                 self._found.append((time.monotonic() - started, self._process.memory_info().rss))
+                cpu = sum(sum(child.cpu_times()[:2]) for child in self._process.children())
+                self.children_cpu = max(self.children_cpu, cpu)
             except psutil.NoSuchProcess:
                 return
 

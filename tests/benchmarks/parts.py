@@ -23,6 +23,7 @@ PARTS = {
     "decode": "Decode: bytes to numpy columns, CRC checked, one core",
     "sim": "Simulated drive in virtual time, one core",
     "live": "Live: the simulated drive behind a pty, recorded",
+    "starved": "Live beside busy loops, two for each core",
     "can": "CAN: stream frames to numpy columns, and a run over slcan, recorded",
     "slcan": "slcan: its text, and reading a full CAN FD bus",
     "replay": "Replay and score of a recording",
