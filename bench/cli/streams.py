@@ -7,6 +7,7 @@ Whatever is printed, by this program or by a library, passes `standard_streams`.
 from __future__ import annotations
 
 import codecs
+import errno
 import io
 import os
 import sys
@@ -114,7 +115,7 @@ class _Guarded:
 
 
 def _raise(error: OSError) -> None:
-    if isinstance(error, BrokenPipeError):
+    if isinstance(error, BrokenPipeError) or (sys.platform == "win32" and error.errno == errno.EINVAL):
         raise OutputClosed("standard output was closed") from None
     raise OutputError(f"standard output cannot be written: {error.strerror}") from None
 

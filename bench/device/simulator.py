@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Self
 
 from bench.errors import BenchError
+from bench.system import APART
 
 # A browser that draws the dashboard without a GPU can keep two cores busy, and this process from feeding the watchdog
 # in time. Nothing real turns, so the drive may wait for a second.
@@ -56,6 +57,7 @@ class EmbeddedDrive:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
+            creationflags=APART,
         )
 
     def __enter__(self) -> Self:

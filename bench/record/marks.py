@@ -6,7 +6,6 @@ number of its own; the recorder writes the mark to the log, with that number.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -18,9 +17,10 @@ from uuid import uuid4
 from bench.errors import BenchError
 from bench.files import RRD, is_run, run_folder
 from bench.record import layout
-from bench.record.folder import append_to, write_all
+from bench.record.folder import write_all
 from bench.record.info import Mark
 from bench.record.reader import Run
+from bench.system import append_to, lock, sync
 
 ANSWER = 3.0  # s in which a recorder answers
 PAUSE = 0.02  # s between looks at the log
@@ -110,10 +110,10 @@ def add(path: Path, text: str, seconds: float) -> Mark:
     except OSError as error:
         raise BenchError(f"{path} cannot be marked: {error.strerror}") from None
     try:
-        fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(log)
         data = (path / layout.LOG).read_bytes()
         write_all(log, (b"" if data.endswith(b"\n") else b"\n") + layout.line_of(layout.mark_record(mark)).encode())
-        os.fdatasync(log)
+        sync(log)
     except BlockingIOError:
         raise BenchError(f"{path} is being recorded: omit --at to mark the present moment") from None
     except OSError as error:

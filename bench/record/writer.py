@@ -19,12 +19,13 @@ import numpy as np
 from bench.device.heard import Chunk, ClockRestarted, Misdated, Missing, Note, ParameterSet
 from bench.device.losses import LossAccount
 from bench.record import journal, layout
-from bench.record.folder import RunFolder, SegmentFile, append_to, write_all
+from bench.record.folder import RunFolder, SegmentFile, write_all
 from bench.record.info import Kept, Mark, RunInfo, SummaryText, stream_to_json
 from bench.record.layout import Columns
 from bench.record.overview import BIN, Overview
 from bench.record.ring import Ring
 from bench.signal.chunks import join, part
+from bench.system import append_to, sync
 from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import EventCode, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -73,10 +74,14 @@ class RunWriter:
         self._told: dict[int, tuple[object, ...]] = {}  # of the last heartbeat that was logged, by node
         self._folder = RunFolder(path, info, overwrite)
         self._line = self._folder.line
-        self._journal = append_to(self._folder.path / layout.journal_name(1))
         self._whole = whole
         if not whole:
             self._folder.put_in_place()
+        try:
+            self._journal = append_to(self._folder.path / layout.journal_name(1))
+        except OSError:
+            self._folder.discard()
+            raise
 
     # -- what comes ---------------------------------------------------------------------------------------------
 
@@ -140,7 +145,7 @@ class RunWriter:
 
     def sync(self) -> None:
         """Have the disk take what was written, so that a power cut costs no more than what comes after."""
-        os.fdatasync(self._journal)
+        sync(self._journal)
         self._folder.sync()
 
     def close(self) -> None:
@@ -152,6 +157,8 @@ class RunWriter:
             lost = {name: n for name, n in self.account.counters.items() if n}
             self._line({"kind": "end", "samples": self.samples_written, "edges": self.edges_written, "lost": lost})
             self.sync()
+            os.close(self._journal)
+            self._journal = -1
             (self._folder.path / layout.journal_name(self._number)).unlink()
             (self._folder.path / layout.ASKED).unlink(missing_ok=True)
             if self._whole:

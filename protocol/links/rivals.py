@@ -15,7 +15,7 @@ def rivals(port: str) -> list[str]:
     The other end of a pty, which may have its port open to keep it alive, is none. Nothing but on Linux.
     """
     try:
-        wanted = os.stat(port).st_rdev
+        wanted = _device(os.stat(port))
         processes = sorted(int(entry.name) for entry in PROC.iterdir() if entry.name.isdecimal())
     except OSError:
         return []
@@ -39,5 +39,9 @@ def _has_open(process: Path, port: str, wanted: int) -> bool:
                     and f"tty-index:\t{index}\n" in (process / "fdinfo" / entry.name).read_text()
                 ):
                     return False
-                there |= place.startswith("/dev/") and os.stat(entry).st_rdev == wanted
+                there |= place.startswith("/dev/") and _device(os.stat(entry)) == wanted
     return there
+
+
+def _device(status: os.stat_result) -> int:
+    return int(getattr(status, "st_rdev", 0))  # Windows has none
