@@ -85,10 +85,11 @@ def binary() -> Path:
     """The viewer itself. The `rerun` script is a shim: killing that would orphan the viewer."""
     import rerun_cli
 
-    path = Path(rerun_cli.__file__).with_name("rerun.exe" if sys.platform == "win32" else "rerun")
-    if not path.exists():
-        raise ViewerError(f"rerun's viewer is missing at {path}: reinstall rerun-sdk, or use --viewer none")
-    return path
+    paths = [Path(rerun_cli.__file__).with_name(name) for name in ("rerun", "rerun.exe")]
+    for path in paths:
+        if path.exists():
+            return path
+    raise ViewerError(f"rerun's viewer is missing at {paths[0]}: reinstall rerun-sdk, or use --viewer none")
 
 
 class ViewerProcess:

@@ -8,8 +8,6 @@ made under a name that Windows refuses, and none moved or removed that this proc
 
 from __future__ import annotations
 
-import _signal
-import _thread
 import builtins
 import ctypes
 import enum
@@ -27,7 +25,7 @@ import types
 from typing import Any
 
 FOLDER = os.environ.get("HALLBENCH_TESTS_WINDOWS", "")
-OURS = re.compile(r"(bench|sim|protocol)(\.|$)|__main__$")
+OURS = re.compile(r"(bench|sim|protocol)(\.|$)")
 ABSENT = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "spwd", "syslog", "termios", "tty"}
 SIGBREAK = 21  # Windows' number; nothing sends it here by itself
 
@@ -99,15 +97,28 @@ Signals = enum.IntEnum(
 )
 
 
+def _break(number: int, frame: Any) -> None:
+    """What Windows does at Ctrl-Break; what Linux does with that number is another thing."""
+    os._exit(0x7F)
+
+
+def _get_handler(number: int) -> Any:
+    handler = signal.getsignal(number)
+    return signal.SIG_DFL if handler is _break else handler
+
+
 def _set_handler(number: int, handler: Any) -> Any:
     Signals(number)  # ValueError
-    return signal.signal(number, handler)
+    before = _get_handler(number)
+    signal.signal(number, _break if number == SIGBREAK and handler == signal.SIG_DFL else handler)
+    return before
 
 
+signal.signal(SIGBREAK, _break)
 _WINDOWS = {member.name: member for member in Signals} | {"Signals": Signals, "signal": _set_handler}
 SIGNAL = Without(
-    signal, only="SIG_DFL SIG_IGN Handlers default_int_handler getsignal raise_signal strsignal valid_signals",
-    CTRL_C_EVENT=0, CTRL_BREAK_EVENT=1, **_WINDOWS,
+    signal, only="SIG_DFL SIG_IGN Handlers default_int_handler raise_signal strsignal valid_signals",
+    CTRL_C_EVENT=0, CTRL_BREAK_EVENT=1, getsignal=_get_handler, **_WINDOWS,
 )  # fmt: skip
 
 
@@ -176,6 +187,8 @@ _import = builtins.__import__
 
 def _windows_import(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> Any:
     importer = (globals or {}).get("__name__") or ""
+    if importer == "__main__":
+        importer = (globals or {}).get("__package__") or ""
     if level == 0 and OURS.match(importer) and importer != "sim.numba_cache":  # whose key tells one system from another
         top = name.partition(".")[0]
         if top in ABSENT:
@@ -247,5 +260,3 @@ def _audit(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 sys.addaudithook(_audit)
-_thread  # noqa: B018
-_signal  # noqa: B018
