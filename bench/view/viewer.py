@@ -131,6 +131,7 @@ class ViewerProcess:
             self._process.stdin.close()
             if not self.wait(_GUARD_TIME):
                 self._process.kill()
+                self.wait()
         else:
             for number in (signal.SIGTERM, signal.SIGKILL):
                 with contextlib.suppress(ProcessLookupError, PermissionError):

@@ -1,4 +1,4 @@
-"""Python starts with this where its folder is in PYTHONPATH: `bench`, `sim` and `protocol` then see a machine like Windows.
+"""Python starts with this where its folder is in PYTHONPATH: `bench`, `sim`, `protocol` then see a machine like Windows.
 
 Only they do: what other packages import is left alone. They find no POSIX module, no name of `os`, `signal` or `time`
 that Windows lacks, `msvcrt`, `select` for sockets only, `os.read` and `os.write` for anything but sockets, and
@@ -80,8 +80,8 @@ def _select(read: Any, write: Any, other: Any, timeout: float | None = None) -> 
 
 OS = Without(
     os,
-    """O_CLOEXEC O_DIRECTORY O_NOFOLLOW O_NONBLOCK O_SYNC WNOHANG chown chroot confstr fchmod fchown fdatasync fork forkpty
-    fpathconf fstatvfs getegid geteuid getgid getgroups getloadavg getpgid getpgrp getpriority getsid getuid initgroups
+    """O_CLOEXEC O_DIRECTORY O_NOFOLLOW O_NONBLOCK O_SYNC WNOHANG chown chroot confstr fchmod fchown fdatasync fork
+    forkpty fpathconf fstatvfs getegid geteuid getgid getgroups getloadavg getpgid getpgrp getpriority getsid getuid initgroups
     killpg lchown lockf major minor mkfifo mknod nice openpty pathconf pipe2 posix_fadvise posix_fallocate pread preadv
     pwrite pwritev readv register_at_fork sched_getaffinity sched_yield sendfile set_blocking setgid setpgid setpriority
     setsid setuid statvfs sync sysconf tcgetpgrp tcsetpgrp ttyname uname wait wait3 wait4 writev memfd_create splice""",
@@ -164,7 +164,9 @@ CTYPES = Without(ctypes, windll=types.SimpleNamespace(kernel32=KERNEL32))
 
 
 class _Popen(subprocess.Popen):  # type: ignore[type-arg]
-    def __init__(self, args: Any, *more: Any, creationflags: int = 0, start_new_session: bool = False, **given: Any) -> None:
+    def __init__(
+        self, args: Any, *more: Any, creationflags: int = 0, start_new_session: bool = False, **given: Any
+    ) -> None:
         program = os.fspath(args if isinstance(args, str) else args[0])
         if re.match(r"(/usr)?/s?bin/(?!python)", program):
             raise FileNotFoundError(errno.ENOENT, "The system cannot find the file specified", program)
@@ -226,11 +228,10 @@ def _check_name(path: Any) -> None:
 
 def _check_closed(path: Any) -> None:
     if full := _inside(path):
-        numbers = os.listdir("/proc/self/fd")
-        with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
-            mapped = [line.partition("/")[2].strip() for line in maps if FOLDER in line]
-        held = [f"/{name}" for name in mapped]
-        for number in numbers:
+        with open("/proc/self/maps", "rb") as maps:
+            mapped = re.findall(rb"^\S+ r.*? (/.*)$", maps.read(), re.MULTILINE)
+        held = [os.fsdecode(name) for name in mapped]
+        for number in os.listdir("/proc/self/fd"):
             try:
                 held.append(os.readlink(f"/proc/self/fd/{number}"))
             except OSError:
@@ -251,9 +252,9 @@ def _audit(event: str, arguments: tuple[Any, ...]) -> None:
         _check_name(arguments[1])
         _check_closed(arguments[0])
         caller = sys._getframe(1).f_code
-        if os.path.isdir(arguments[1]) or (caller.co_name == "rename" and os.path.exists(arguments[1])):
-            if _inside(arguments[1]):
-                raise FileExistsError(errno.EEXIST, "[WinError 183] it exists", arguments[1])
+        there = os.path.isdir(arguments[1]) or (caller.co_name == "rename" and os.path.exists(arguments[1]))
+        if there and _inside(arguments[1]):
+            raise FileExistsError(errno.EEXIST, "[WinError 183] it exists", arguments[1])
         _check_closed(arguments[1])
     elif event in ("os.remove", "os.rmdir"):
         _check_closed(arguments[0])
