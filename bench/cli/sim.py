@@ -21,7 +21,7 @@ def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> Non
     from bench.cli.output import table
     from bench.device.simulator import shipped
 
-    rows = [(name, file.read_text().partition("\n")[0].strip("# ")) for name, file in shipped().items()]
+    rows = [(name, file.read_text(encoding="utf-8").partition("\n")[0].strip("# ")) for name, file in shipped().items()]
     table(("motor", "description"), rows)
     ctx.exit()
 

@@ -122,7 +122,7 @@ def _raise(error: OSError) -> None:
 
 def _open_closed() -> None:
     if sys.stdin is None:
-        sys.stdin = open(os.devnull)  # noqa: SIM115
+        sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115
     if sys.stdout is None:
         reader, writer = os.pipe()
         if writer != 1:
@@ -130,9 +130,9 @@ def _open_closed() -> None:
             os.close(writer)
         if reader != 1:
             os.close(reader)
-        sys.stdout = open(1, "w")  # noqa: SIM115
+        sys.stdout = open(1, "w", encoding="utf-8")  # noqa: SIM115
     if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
 def _shown(error: UnicodeError) -> tuple[str, int]:

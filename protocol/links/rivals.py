@@ -23,7 +23,7 @@ def rivals(port: str) -> list[str]:
     for pid in processes:
         if pid != os.getpid() and _has_open(PROC / str(pid), port, wanted):
             with suppress(OSError):
-                found.append(f"{(PROC / str(pid) / 'comm').read_text().strip()} (pid {pid})")
+                found.append(f"{(PROC / str(pid) / 'comm').read_text('utf-8', 'replace').strip()} (pid {pid})")
     return found
 
 
@@ -36,7 +36,7 @@ def _has_open(process: Path, port: str, wanted: int) -> bool:
                 place = os.readlink(entry)
                 if (
                     place.endswith("/ptmx")
-                    and f"tty-index:\t{index}\n" in (process / "fdinfo" / entry.name).read_text()
+                    and f"tty-index:\t{index}\n" in (process / "fdinfo" / entry.name).read_text("utf-8")
                 ):
                     return False
                 there |= place.startswith("/dev/") and _device(os.stat(entry)) == wanted
