@@ -34,9 +34,8 @@ def _has_open(process: Path, port: str, wanted: int) -> bool:
         for entry in (process / "fd").iterdir():
             with suppress(OSError):
                 place = os.readlink(entry)
-                if (
-                    place.endswith("/ptmx")
-                    and f"tty-index:\t{index}\n" in (process / "fdinfo" / entry.name).read_text("utf-8")
+                if place.endswith("/ptmx") and f"tty-index:\t{index}\n" in (process / "fdinfo" / entry.name).read_text(
+                    "utf-8"
                 ):
                     return False
                 there |= place.startswith("/dev/") and _device(os.stat(entry)) == wanted

@@ -1,6 +1,7 @@
-"""Text that a person writes: from an editor on Windows it ends its lines in CR LF, and may begin with a byte-order mark.
+"""Text files and names of files, on every system alike.
 
-And that nothing is read or written in whatever encoding a machine happens to have.
+An editor on Windows ends lines in CR LF, and may begin a file with a byte-order mark. Nothing is read or written in
+whatever encoding a machine happens to have.
 """
 
 from __future__ import annotations
@@ -8,12 +9,14 @@ from __future__ import annotations
 import ast
 import codecs
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from hypothesis import given, strategies as st
 from test_motor_files import ODRIVE_6, VESC, xml
 
 import bench
@@ -21,6 +24,7 @@ from bench.accept.spec import read_spec
 from bench.cli import cli
 from bench.device.simulator import motors
 from bench.dumps.read import read as read_dump
+from bench.files import file_name
 from bench.rig.settings import read_settings, write_rated
 from bench.score.expect import read as read_expected
 from sim.config.params import load_params
@@ -104,7 +108,7 @@ def opens_text(call: ast.Call, own: set[str]) -> bool:
     match call.func:
         case ast.Name(id="open") if "open" not in own:
             modes += call.args[1:2]
-        case ast.Attribute(attr="open", value=ast.Name(id="path" | "file" | "log") | ast.BinOp()):
+        case ast.Attribute(attr="open", value=ast.Name(id="path" | "log") | ast.BinOp()):
             modes += call.args[:1]
         case _:
             return called(call) in ("read_text", "write_text", "TextIOWrapper")
@@ -143,3 +147,30 @@ def test_a_line_that_is_added_leaves_the_rest_of_the_file_as_it_is(editor: str, 
     write_rated(tmp_path / "bench.toml", {"current": 4.0})
     after = before.replace(b"[rated]\n", b"[rated]\ncurrent = 4.0\n")
     assert (tmp_path / "bench.toml").read_bytes() == change(after)
+
+
+REFUSED = r'[<>:"/\\|?*\x00-\x1f]|[. ]$|^(CON|PRN|AUX|NUL|CLOCK\$|COM[0-9¹²³]|LPT[0-9¹²³])( *\.| *$)'
+"""What Windows refuses in the name of a file, by Microsoft's page "Naming Files, Paths, and Namespaces"."""
+DEVICES = ["CON", "prn", "aux", "Nul", "COM1", "com9", "LPT3"]
+
+
+@given(
+    st.one_of(
+        st.text(min_size=1),
+        st.sampled_from(DEVICES),
+        st.tuples(st.sampled_from(DEVICES), st.sampled_from([".", " ", ".run", "[2]", "/x"])).map("".join),
+        st.text(st.characters(codec="ascii", categories=["L", "N", "P", "Zs"]), min_size=90, max_size=400),
+    )
+)
+def test_the_name_of_a_test_makes_a_name_of_a_file_that_every_system_takes(name: str) -> None:
+    made = file_name(name)
+    for full in (made, f"{made}.run", f"{made}.png"):
+        assert not re.search(REFUSED, full, re.IGNORECASE)
+        assert 0 < len(full.encode()) <= 110
+    assert file_name(made) == made
+
+
+def test_long_names_that_begin_alike_make_different_files_and_short_ones_stay_as_they_were() -> None:
+    assert file_name("x" * 150 + "a") != file_name("x" * 150 + "b")
+    assert file_name("trip[over-speed]") == "trip_over-speed_"
+    assert file_name("fig09_start_up") == "fig09_start_up"

@@ -156,7 +156,8 @@ def test_an_export_has_the_bytes_that_it_has_elsewhere(
         (tmp_path / name).mkdir()
         done = bench("export", str(drive_run), "-o", str(tmp_path / name / f"x{form}"), more=more)
         assert done.returncode == 0, done.stderr
-    assert (names := files_of(tmp_path / "here")) == files_of(tmp_path / "there")
+    names = files_of(tmp_path / "here")
+    assert names == files_of(tmp_path / "there")
     for name in names if form in (".csv", ".parquet") else ():  # the others hold the moment of writing
         assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
 
