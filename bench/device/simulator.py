@@ -7,6 +7,7 @@ alone, which still needs the drive for its STOP.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -55,7 +56,9 @@ class EmbeddedDrive:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            text=True,
+            encoding="utf-8",
+            errors="replace",
+            env={**os.environ, "PYTHONIOENCODING": "utf-8"},  # whatever that of this terminal is
             start_new_session=True,
             creationflags=APART,
         )

@@ -16,7 +16,8 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, strategies as st
+from hypothesis import given
+from hypothesis import strategies as st
 from test_motor_files import ODRIVE_6, VESC, xml
 
 import bench
@@ -125,7 +126,8 @@ def names_encoding(call: ast.Call) -> bool:
     [
         ("open(x)", False), ("open(x, 'w')", False), ("open(x, 'rb')", True), ("open(x, encoding='utf-8')", True),
         ("path.open('a')", False), ("path.open('a', encoding='utf-8')", True), ("path.open(mode='wb')", True),
-        ("(a / b).open()", False), ("x.read_text()", False), ("x.read_text('utf-8')", True), ("archive.open(name)", True),
+        ("(a / b).open()", False), ("x.read_text()", False), ("x.read_text('utf-8')", True),
+        ("archive.open(name)", True),
         ("x.write_text('y')", False), ("x.write_text('y', encoding='utf-8')", True), ("io.TextIOWrapper(x)", False),
     ],
 )  # fmt: skip

@@ -162,6 +162,16 @@ def test_an_export_has_the_bytes_that_it_has_elsewhere(
         assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
 
 
+def test_the_drive_s_own_words_are_read_whatever_the_terminal_can_show(windows: dict[str, str], tmp_path: Path) -> None:
+    file = tmp_path / "m.toml"
+    file.write_text('[motor]\n"Größe µ in Ω" = 3\n', encoding="utf-8")
+    done = bench("live", "--config", str(file), "--viewer", "none", more=windows)
+    assert done.returncode == 2
+    assert done.stderr.decode("cp1252").startswith(
+        f"error: unknown key motor.Größe µ in Ohm in {file.name}; allowed here: R_s"
+    )
+
+
 def viewers(run: Path) -> list[int]:
     """Processes of rerun that show something of the folder of `run`, or of a temporary one made for it."""
     found = []

@@ -81,10 +81,11 @@ def _select(read: Any, write: Any, other: Any, timeout: float | None = None) -> 
 OS = Without(
     os,
     """O_CLOEXEC O_DIRECTORY O_NOFOLLOW O_NONBLOCK O_SYNC WNOHANG chown chroot confstr fchmod fchown fdatasync fork
-    forkpty fpathconf fstatvfs getegid geteuid getgid getgroups getloadavg getpgid getpgrp getpriority getsid getuid
-    initgroups killpg lchown lockf major minor mkfifo mknod nice openpty pathconf pipe2 posix_fadvise posix_fallocate pread
-    preadv pwrite pwritev readv register_at_fork sched_getaffinity sched_yield sendfile set_blocking setgid setpgid setpriority
-    setsid setuid statvfs sync sysconf tcgetpgrp tcsetpgrp ttyname uname wait wait3 wait4 writev memfd_create splice""",
+    forkpty fpathconf fstatvfs getegid geteuid getgid getgroups getloadavg getpgid getpgrp getpriority getsid
+    getuid initgroups killpg lchown lockf major minor mkfifo mknod nice openpty pathconf pipe2 posix_fadvise
+    posix_fallocate pread preadv pwrite pwritev readv register_at_fork sched_getaffinity sched_yield sendfile
+    set_blocking setgid setpgid setpriority setsid setuid statvfs sync sysconf tcgetpgrp tcsetpgrp ttyname uname
+    wait wait3 wait4 writev memfd_create splice""",
     name="nt", O_BINARY=0, kill=_kill, read=_no_socket(os.read), write=_no_socket(os.write),
 )  # fmt: skip
 SELECT = Without(select, only="select error", select=_select)
