@@ -21,6 +21,7 @@ import stat
 import struct
 import subprocess
 import sys
+import time
 import types
 from typing import Any
 
@@ -180,9 +181,17 @@ class _Popen(subprocess.Popen):  # type: ignore[type-arg]
 
 SUBPROCESS = Without(subprocess, Popen=_Popen, CREATE_NO_WINDOW=0x08000000, CREATE_NEW_PROCESS_GROUP=0x200)
 SYS = Without(sys, platform="win32")
+TICK = 1 / 64  # s: of the monotonic clock there, before Python 3.13
+
+
+def _monotonic() -> float:
+    return time.monotonic() // TICK * TICK
+
+
+TIME = Without(time, "clock_gettime pthread_getcpuclockid tzset", monotonic=_monotonic)
 PRESENT: dict[str, types.ModuleType] = {
     "os": OS, "select": SELECT, "signal": SIGNAL, "_signal": SIGNAL, "msvcrt": MSVCRT, "ctypes": CTYPES,
-    "subprocess": SUBPROCESS, "sys": SYS,
+    "subprocess": SUBPROCESS, "sys": SYS, "time": TIME,
 }  # fmt: skip
 
 _import = builtins.__import__
