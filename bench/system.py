@@ -119,6 +119,17 @@ def sync(descriptor: int) -> None:
         os.fsync(descriptor)
 
 
+def removed(file: Path) -> bool:
+    """Remove a file; False where another program has it open and the system keeps it for that. Raises OSError."""
+    try:
+        file.unlink(missing_ok=True)
+    except PermissionError:
+        if MOVES_OPEN_FILES:
+            raise
+        return False
+    return True
+
+
 def append_to(path: Path) -> int:
     """Open a file that only grows; the descriptor is its caller's to close."""
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)

@@ -25,7 +25,7 @@ from bench.record.layout import Columns
 from bench.record.overview import BIN, Overview
 from bench.record.ring import Ring
 from bench.signal.chunks import join, part
-from bench.system import append_to, sync
+from bench.system import append_to, removed, sync
 from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import EventCode, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -75,6 +75,7 @@ class RunWriter:
         self._folder = RunFolder(path, info, overwrite)
         self._line = self._folder.line
         self._whole = whole
+        self._held: list[Path] = []  # files of segments that were let go, which another program had open
         if not whole:
             self._folder.put_in_place()
         try:
@@ -269,9 +270,8 @@ class RunWriter:
             self._line({"kind": "removed", "number": number})
         if gone:
             self._folder.sync()
-        for number in gone:
-            for file in self.path.glob(layout.file_name("*", number)):
-                file.unlink()
+        self._held += [file for number in gone for file in self.path.glob(layout.file_name("*", number))]
+        self._held = [file for file in self._held if not removed(file)]
 
     def _moment(self, first: int, last: int) -> None:
         if self._ring is not None:

@@ -52,6 +52,8 @@ _GUARDED = (
     if sys.platform == "win32"
     else ["/bin/sh", "-c", _GUARD, "guard"]
 )
+# Linux needs SO_REUSEADDR for a port whose connections have just ended; on Windows that takes a port from who listens there.
+_ALONE = getattr(socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR)
 _GUARD_TIME = 2.0  # s in which a guard ends its viewer
 _SLICE = 0.2  # s: on Windows no signal ends a wait
 
@@ -73,7 +75,7 @@ def free_port(first: int, wanted: int | None = None, use: str = "the live view")
 
 def _is_free(port: int) -> bool:
     with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.setsockopt(socket.SOL_SOCKET, _ALONE, 1)
         try:
             probe.bind((HOST, port))
         except (OSError, OverflowError):

@@ -231,6 +231,24 @@ def test_what_was_typed_before_a_question_is_no_answer(windows: dict[str, str]) 
     os.close(terminal)
 
 
+HELD = """
+import sys
+from pathlib import Path
+from bench.system import removed
+file = Path(sys.argv[1])
+with file.open("rb") as held:
+    print(removed(file), file.exists())
+print(removed(file), file.exists(), removed(file))
+"""
+
+
+def test_a_file_that_is_open_stays_until_it_is_closed(windows: dict[str, str], tmp_path: Path) -> None:
+    (tmp_path / "x").touch()
+    command = [sys.executable, "-c", HELD, str(tmp_path / "x")]
+    told = subprocess.run(command, env={**ENVIRONMENT, **windows}, capture_output=True, check=True, text=True)
+    assert told.stdout.split() == ["False", "True", "True", "False", "True"]
+
+
 def test_memory_is_what_is_free_by_windows_own_account(windows: dict[str, str]) -> None:
     told = subprocess.run(
         [sys.executable, "-c", "from bench.record.memory import available; print(available())"],
