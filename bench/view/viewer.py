@@ -52,7 +52,7 @@ _GUARDED = (
     if sys.platform == "win32"
     else ["/bin/sh", "-c", _GUARD, "guard"]
 )
-# Linux needs SO_REUSEADDR for a port whose connections have just ended; on Windows that takes a port from who listens there.
+# Linux needs SO_REUSEADDR for a port that was used just now; on Windows that takes a port away from who listens there.
 _ALONE = getattr(socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR)
 _GUARD_TIME = 2.0  # s in which a guard ends its viewer
 _SLICE = 0.2  # s: on Windows no signal ends a wait
