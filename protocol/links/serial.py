@@ -6,6 +6,7 @@ pyserial opens and locks the port; `protocol.links.serial_port` reads and writes
 from __future__ import annotations
 
 import errno
+import os
 import re
 import sys
 import time
@@ -105,7 +106,7 @@ class SerialLink(DescriptorLink):
         """See `Link.close`."""
         if self._port is not None:
             self._port.close()
-            self._port = None
+            self._port = self._opened = None
 
     def _closed(self) -> bool:
         return self._port is None
@@ -123,7 +124,8 @@ class SerialLink(DescriptorLink):
         On a busy machine that was 0.3 s, too long for a drive's watchdog: it is only asked how many bytes there are.
         """
         end = 0.0
-        while not self._there.waiting():
+        there = self._there
+        while not there.waiting():
             if (now := time.monotonic()) >= (end := end or now + timeout):
                 return False
             time.sleep(min(end - now, LOOK))
@@ -131,7 +133,8 @@ class SerialLink(DescriptorLink):
 
     @property
     def _there(self) -> DescriptorPort | PolledPort:
-        assert self._opened is not None
+        if self._opened is None:  # another thread has closed it
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
         return self._opened
 
     def _take(self, most: int) -> bytes:

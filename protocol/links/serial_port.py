@@ -27,12 +27,8 @@ class DescriptorPort:
     """
 
     def __init__(self, port: serial.Serial) -> None:
-        self._port = port
+        self._fd = int(port.fileno())
         self.set_up()
-
-    @property
-    def _fd(self) -> int:
-        return int(self._port.fileno())  # OSError once it is closed, from whatever thread
 
     def set_up(self) -> None:
         """VMIN = 1: an empty read then means that the port is gone, never that there is nothing to read."""
