@@ -165,14 +165,15 @@ def test_an_export_has_the_bytes_that_it_has_elsewhere(
         assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
 
 
-def test_the_drive_s_own_words_are_read_whatever_the_terminal_can_show(windows: dict[str, str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(("encoding", "key"), [("cp1252", "Größe µ in Ohm"), ("ascii", r"Gr\xf6\xdfe u in Ohm")])
+def test_the_drive_s_own_words_are_read_whatever_the_terminal_can_show(
+    windows: dict[str, str], tmp_path: Path, encoding: str, key: str
+) -> None:
     file = tmp_path / "m.toml"
     file.write_text('[motor]\n"Größe µ in Ω" = 3\n', encoding="utf-8")
-    done = bench("live", "--config", str(file), "--viewer", "none", more=windows)
+    done = bench("live", "--config", str(file), "--viewer", "none", more={**windows, "PYTHONIOENCODING": encoding})
     assert done.returncode == 2
-    assert done.stderr.decode("cp1252").startswith(
-        f"error: unknown key motor.Größe µ in Ohm in {file.name}; allowed here: R_s"
-    )
+    assert done.stderr.decode(encoding).startswith(f"error: unknown key motor.{key} in m.toml; allowed here: R_s")
 
 
 def viewers(run: Path) -> list[int]:
