@@ -78,7 +78,7 @@ class UnsafeError(BenchError):
 
 
 class Interrupted(BaseException):
-    """SIGTERM, SIGHUP or SIGQUIT arrived. Like KeyboardInterrupt it passes through `except Exception`."""
+    """SIGTERM, SIGHUP, SIGQUIT or SIGBREAK arrived. Like KeyboardInterrupt it passes through `except Exception`."""
 
     def __init__(self, signum: int) -> None:
         super().__init__(signum)

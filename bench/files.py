@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
+import re
 import shutil
 import stat
 import sys
@@ -17,6 +19,8 @@ from bench.errors import BenchError, RecordingError
 STANDARD_OUTPUT = Path("-")
 RUN_LOG = "run.jsonl"
 """Of a recorded run: what makes a folder one."""
+LONGEST = 100  # characters of the name of a file that is made of something else's name
+_DEVICE = re.compile(r"^(CON|PRN|AUX|NUL|COM\d|LPT\d)(?=\.|$)", re.IGNORECASE)  # what Windows opens in a file's place
 RUN, RRD = ".run", ".rrd"  # how names of recorded runs end, by custom, and of files for rerun's viewer
 
 
@@ -105,6 +109,14 @@ def write(path: Path, content: str | bytes, what: str) -> None:
             raise
     except OSError as reason:
         raise BenchError(f"{what} cannot be written: {reason.strerror}") from None
+
+
+def file_name(name: str) -> str:
+    """`name` without what a file system or a shell could mistake: one that Windows takes, too, and not too long."""
+    made = re.sub(r"[^A-Za-z0-9._-]+", "_", name)
+    if len(made) > LONGEST:
+        made = f"{made[: LONGEST - 9]}-{hashlib.sha256(name.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"
+    return _DEVICE.sub(r"\1_", re.sub(r"\.$", "_", made) or "_")
 
 
 def part_of(path: Path) -> Path:

@@ -6,7 +6,10 @@ there. Elsewhere nothing has to wait.
 
 from __future__ import annotations
 
+import _thread
+import os
 import signal
+import sys
 import threading
 from types import FrameType, TracebackType
 from typing import Any, ClassVar
@@ -14,8 +17,25 @@ from typing import Any, ClassVar
 # What `signal` makes enums of, for 10 us a call. typeshed does not know it.
 from _signal import getsignal, signal as set_handler  # type: ignore[import-not-found]  # isort: skip
 
-ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-"""Signals that ask a process to end, and that it may put off."""
+
+def there(*names: str) -> tuple[signal.Signals, ...]:
+    """Those of these signals that this system has."""
+    return tuple(signal.Signals[name] for name in names if name in signal.Signals.__members__)
+
+
+ENDING = there("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
+"""Signals that ask a process to end, and that it may put off. SIGBREAK is Windows' Ctrl-Break."""
+HELD = (*ENDING, *there("SIGALRM"))
+
+
+def send(number: int) -> None:
+    """Send this process a signal, from any thread."""
+    if sys.platform != "win32":
+        os.kill(os.getpid(), number)
+    elif getsignal(number) is signal.SIG_DFL:
+        os._exit(128 + number)  # as shells elsewhere tell it; Windows' own `os.kill` ends a process with `number`
+    else:
+        _thread.interrupt_main(signal.Signals(number))
 
 
 class Held:
@@ -41,7 +61,7 @@ class Held:
         if threading.current_thread() is not threading.main_thread():
             return self
         if Held.active is None:
-            numbers = ENDING if self.undisturbed else (*ENDING, signal.SIGALRM)
+            numbers = ENDING if self.undisturbed else HELD
             self._handlers = {
                 n: h for n in numbers if callable(h := getsignal(n)) or (self.undisturbed and h is not None)
             }

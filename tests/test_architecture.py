@@ -21,7 +21,7 @@ DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
 MOST_PARAMETERS = 8
 MOST_LINES = 80
 COMPILED = {"kernel", "native", "intrinsic", "overload"}
-MOST_CODE_LINES = {"bench": 30650, "sim": 8220, "protocol": 5240, "tests": 36290}
+MOST_CODE_LINES = {"bench": 30760, "sim": 8250, "protocol": 5340, "tests": 36770}
 """Whoever raises one says so in the commit."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -62,7 +62,7 @@ def test_every_folder_has_a_layer() -> None:
         if (folder / "__init__.py").is_file()
     }
     assert folders <= layers
-    assert layers <= folders | {"bench.errors", "bench.files", "protocol.host"}
+    assert layers <= folders | {"bench.errors", "bench.files", "bench.system", "protocol.host"}
 
 
 def test_no_module_imports_another_in_a_circle() -> None:
@@ -72,8 +72,8 @@ def test_no_module_imports_another_in_a_circle() -> None:
     TopologicalSorter(imports).prepare()  # raises CycleError
 
 
-def test_bench_has_at_most_four_loose_modules() -> None:
-    assert len(list((ROOT / "bench").glob("*.py"))) <= 4
+def test_bench_has_at_most_five_loose_modules() -> None:
+    assert len(list((ROOT / "bench").glob("*.py"))) <= 5
 
 
 def test_only_the_view_imports_rerun(sources: Sources) -> None:

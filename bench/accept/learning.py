@@ -74,7 +74,7 @@ def learn(
 
 def _read(path: Path) -> RunResult:
     try:
-        return run_from_json(json.loads(path.read_text(encoding="utf-8")))
+        return run_from_json(json.loads(path.read_text(encoding="utf-8-sig")))
     except OSError as error:
         raise BenchError(f"cannot read results {path}: {error.strerror}") from None
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):

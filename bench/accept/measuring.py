@@ -6,7 +6,7 @@ Nothing here knows pytest or a link.
 from __future__ import annotations
 
 import math
-import re
+import os
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from bench.accept.results import Figure, Measurement, Verdict, worst
 from bench.errors import BenchError
+from bench.files import file_name
 from bench.signal.capture import Capture
 from bench.signal.limits import YES_NO, Limits
 
@@ -141,11 +142,6 @@ def value_text(measurement: Measurement) -> str:
     return f"{value} [{measurement.limits}{band}] {measurement.verdict}{why}"
 
 
-def file_name(name: str) -> str:
-    """`name` without what a file system or a shell could mistake."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", name)
-
-
 def require_apart(names: Collection[str]) -> None:
     """BenchError if two tests have the same name, or names that make the same file name."""
     for name, often in Counter(names).items():
@@ -153,5 +149,5 @@ def require_apart(names: Collection[str]) -> None:
             raise BenchError(f"{often} tests are called '{name}', and limits go by name: rename all but one")
     files: dict[str, str] = {}
     for name in names:
-        if (other := files.setdefault(file_name(name), name)) != name:
+        if (other := files.setdefault(os.path.normcase(file_name(name)), name)) != name:
             raise BenchError(f"'{other}' and '{name}' would write to the same files: rename one of them")

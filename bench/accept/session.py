@@ -23,7 +23,7 @@ import pytest
 from bench.accept.collected import RESULT, RIG, RUNNING, SCREEN, long_name, names_of
 from bench.accept.judging import NOT_BEGUN, Phase, judge
 from bench.accept.marks import announced, declared_limits, label_of, needed, rated_by
-from bench.accept.measuring import Running, file_name, require_apart, value_text
+from bench.accept.measuring import Running, require_apart, value_text
 from bench.accept.report_files import claim
 from bench.accept.requirements import missing
 from bench.accept.results import Carried, RunResult, Setup, TestResult, Verdict, to_json, worst
@@ -32,7 +32,7 @@ from bench.device.client import Client
 from bench.device.description import describe
 from bench.device.node import Node
 from bench.errors import BenchError, OutputsMayBeOn
-from bench.files import RUN, STANDARD_OUTPUT, check_directory, check_output, write
+from bench.files import RUN, STANDARD_OUTPUT, check_directory, check_output, file_name, write
 from bench.record.folder import remove
 from bench.rig import person
 from bench.rig.connection import SIM, find_drive, load_target, open_target, target_of

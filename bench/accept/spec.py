@@ -188,7 +188,7 @@ def read_spec(given: str) -> Spec:
             raise BenchError(f"no spec '{given}': {did_you_mean(given, names, there)}")
         path = SHIPPED / f"{given}.toml"
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise BenchError(f"cannot read spec {path}: {printable(str(error))}") from None
     except RecursionError:

@@ -56,7 +56,7 @@ def command(a: Path, b: Path, align: str, json_file: Path | None, save: Path | N
     sides = aligned(runs[0], runs[1], align, given["begin"], given["end"])
     found = compare(*sides, given["channels"] or ())
     viewer = given["viewer"]
-    with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
+    with tempfile.TemporaryDirectory(prefix="hallbench-", ignore_cleanup_errors=True) as folder:
         file = save or (Path(folder, "compare.rrd") if viewer != "none" else None)
         if file is not None:
             _write(file, sides, viewer)

@@ -21,13 +21,13 @@ def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> Non
     from bench.cli.output import table
     from bench.device.simulator import shipped
 
-    rows = [(name, file.read_text().partition("\n")[0].strip("# ")) for name, file in shipped().items()]
+    rows = [(name, file.read_text(encoding="utf-8").partition("\n")[0].strip("# ")) for name, file in shipped().items()]
     table(("motor", "description"), rows)
     ctx.exit()
 
 
 @click.command("sim")
-@click.option("--pty", is_flag=True, help="Serve on a pseudo terminal, like a serial port (default).")
+@click.option("--pty", is_flag=True, help="Serve on a pseudo terminal, like a serial port (default; not on Windows).")
 @click.option("--tcp", metavar="HOST:PORT", help="Serve on TCP, one client at a time; port 0: any free port.")
 @click.option("--slcan", is_flag=True, help="Serve on a CAN bus, through an slcan adapter on a pseudo terminal.")
 @click.option("--bitrate", metavar="N", type=int, help="CAN bit rate, bit/s [default: 1000000].")
@@ -50,7 +50,6 @@ def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> Non
               help="List the motors for --config, and exit.")  # fmt: skip
 @click.option("--exit-with-parent", is_flag=True, hidden=True)
 def command(
-    pty: bool,
     bitrate: int | None,
     fd: bool,
     data_bitrate: int | None,
@@ -62,7 +61,7 @@ def command(
 ) -> None:
     """Run the simulated drive and load machine in real time, and print the target to connect to.
 
-    kill -USR1 PID pulls the cable, kill -USR2 PID plugs it in again, on the same --link or port. Ctrl-C stops it.
+    Ctrl-C stops it. kill -USR1 PID pulls the cable, kill -USR2 PID plugs it in again, on the same --link or port.
 
     \b
     Examples:
@@ -72,7 +71,7 @@ def command(
       bench sim --config maxon-ec60-flat
       bench sim --device c
     """
-    places = [name for name in ("tcp", "slcan") if given[name]] + ["pty"] * pty
+    places = [name for name in ("tcp", "slcan", "pty") if given[name]]
     if len(places) > 1:
         raise click.UsageError(f"give only one of {', '.join(f'--{name}' for name in places)}")
     if data_bitrate is not None and not fd:
@@ -93,9 +92,11 @@ def command(
 
 
 def _end_with_input() -> None:
+    from sim.interrupts import send
+
     while os.read(sys.stdin.fileno(), 4096):
         pass
-    os.kill(os.getpid(), signal.SIGTERM)
+    send(signal.SIGTERM)
 
 
 def _tell_parent(line: str) -> None:

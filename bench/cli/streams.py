@@ -7,6 +7,7 @@ Whatever is printed, by this program or by a library, passes `standard_streams`.
 from __future__ import annotations
 
 import codecs
+import errno
 import io
 import os
 import sys
@@ -114,14 +115,14 @@ class _Guarded:
 
 
 def _raise(error: OSError) -> None:
-    if isinstance(error, BrokenPipeError):
+    if isinstance(error, BrokenPipeError) or (sys.platform == "win32" and error.errno == errno.EINVAL):
         raise OutputClosed("standard output was closed") from None
     raise OutputError(f"standard output cannot be written: {error.strerror}") from None
 
 
 def _open_closed() -> None:
     if sys.stdin is None:
-        sys.stdin = open(os.devnull)  # noqa: SIM115
+        sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115
     if sys.stdout is None:
         reader, writer = os.pipe()
         if writer != 1:
@@ -129,9 +130,9 @@ def _open_closed() -> None:
             os.close(writer)
         if reader != 1:
             os.close(reader)
-        sys.stdout = open(1, "w")  # noqa: SIM115
+        sys.stdout = open(1, "w", encoding="utf-8")  # noqa: SIM115
     if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
 def _shown(error: UnicodeError) -> tuple[str, int]:

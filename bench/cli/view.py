@@ -51,7 +51,7 @@ def command(run: Path, begin: float | None, end: float | None, viewer: str, web_
 
     opened = Run(run)
     first, last = ticks_of(opened, begin, end)
-    with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
+    with tempfile.TemporaryDirectory(prefix="hallbench-", ignore_cleanup_errors=True) as folder:
         file = Path(folder, f"{run.name}.rrd")
         kind = chosen(viewer)
         write_rrd(opened, file, first, last, lot=lot_for(kind))

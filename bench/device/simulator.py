@@ -7,6 +7,7 @@ alone, which still needs the drive for its STOP.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Self
 
 from bench.errors import BenchError
+from bench.system import APART
 
 # A browser that draws the dashboard without a GPU can keep two cores busy, and this process from feeding the watchdog
 # in time. Nothing real turns, so the drive may wait for a second.
@@ -54,8 +56,11 @@ class EmbeddedDrive:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            text=True,
+            encoding="utf-8",
+            errors="replace",
+            env={**os.environ, "PYTHONIOENCODING": "utf-8"},  # whatever that of this terminal is
             start_new_session=True,
+            creationflags=APART,
         )
 
     def __enter__(self) -> Self:

@@ -31,7 +31,7 @@ def write(content: Content, paths: Mapping[str, Path]) -> None:
         for number, field in enumerate(columns):
             if pa.types.is_boolean(field.type):
                 columns = columns.set(number, pa.field(field.name, pa.uint8(), False))
-        with CSVWriter(paths[table.name], columns) as writer:
+        with pa.OSFile(str(paths[table.name]), "wb") as file, CSVWriter(file, columns) as writer:
             for piece in content.pieces(table):
                 numbers = {name: a.astype(np.uint8) if a.dtype == bool else a for name, a in piece.items()}
                 writer.write_table(arrow(numbers, columns))

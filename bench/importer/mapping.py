@@ -196,7 +196,7 @@ def read(name: str) -> Mapping:
     if name in presets():
         return preset(name)
     try:
-        return mapping_of(tomllib.loads(Path(name).read_text("utf-8")), name)
+        return mapping_of(tomllib.loads(Path(name).read_text("utf-8-sig")), name)
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or "it is no text"
         raise BenchError(f"--map {name}: {why}; there are the presets {either(presets())}") from None

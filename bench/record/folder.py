@@ -5,7 +5,6 @@ A folder is made under a name of its own and put in its place when it holds a ru
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -17,6 +16,7 @@ from bench.files import is_run, part_of
 from bench.record import layout
 from bench.record.info import RunInfo
 from bench.record.layout import CheckedFile, Columns
+from bench.system import MOVES_OPEN_FILES, append_to, lock, sync
 
 
 class RunFolder:
@@ -37,7 +37,7 @@ class RunFolder:
             self._log = append_to(self.path / layout.LOG)
         except OSError as error:
             raise RecordingError(f"{target} cannot be created: {error.strerror}") from None
-        fcntl.flock(self._log, fcntl.LOCK_EX)  # as long as this is held the run is being written
+        lock(self._log)  # as long as this is held the run is being written
         self.line({"kind": "run", "format": layout.FORMAT, "id": info.recording_id, **info.to_json()})
 
     def line(self, record: Mapping[str, Any]) -> None:
@@ -49,15 +49,20 @@ class RunFolder:
         try:
             if self._overwrite and is_run(self._target):
                 remove(self._target)
+            if not MOVES_OPEN_FILES:
+                self.close()
             self.path.rename(self._target)
+            self.path = self._target
+            if not MOVES_OPEN_FILES:
+                self._log = append_to(self.path / layout.LOG)
+                lock(self._log)
         except OSError as error:
             self.discard()
             raise RecordingError(f"{self._target} cannot be created: {error.strerror}") from None
-        self.path = self._target
 
     def sync(self) -> None:
         """Have the disk take the log."""
-        os.fdatasync(self._log)
+        sync(self._log)
 
     def close(self) -> None:
         """Let go of the log."""
@@ -96,7 +101,7 @@ class SegmentFile:
         self._writer.close()
         self._checked.end_block()
         self._file.flush()
-        os.fdatasync(self._file.fileno())
+        sync(self._file.fileno())
         self._file.close()
         self._part.rename(self._path)
         return {"stream": self._stream, "name": self._path.name, "groups": self._groups, "blocks": self._checked.blocks}
@@ -121,11 +126,6 @@ def remove(path: Path) -> None:
         for file in path.glob(pattern):
             file.unlink()
     path.rmdir()
-
-
-def append_to(path: Path) -> int:
-    """Open a file that only grows; the descriptor is its caller's to close."""
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
 
 
 def write_all(descriptor: int, data: bytes) -> None:

@@ -6,7 +6,6 @@ number of its own; the recorder writes the mark to the log, with that number.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -18,12 +17,14 @@ from uuid import uuid4
 from bench.errors import BenchError
 from bench.files import RRD, is_run, run_folder
 from bench.record import layout
-from bench.record.folder import append_to, write_all
+from bench.record.folder import write_all
 from bench.record.info import Mark
 from bench.record.reader import Run
+from bench.system import append_to, lock, sync
 
 ANSWER = 3.0  # s in which a recorder answers
 PAUSE = 0.02  # s between looks at the log
+LOOKS = 5  # for a run that is being recorded
 
 
 @dataclass(frozen=True)
@@ -74,9 +75,7 @@ def ask(path: Path, text: str, now: Callable[[], float] = time.monotonic) -> tup
     Raises BenchError where nobody records it, or nobody answers.
     """
     asked = Asked(uuid4().hex[:12], now(), text)
-    run = Run(newest(path))
-    if not run.being_written:
-        raise BenchError(f"{run.path} is not being recorded: mark a device time with --at S")
+    run = _recorded(path)
     seen = _put(run.path, asked)
     while now() < asked.host + ANSWER:
         present = newest(path)  # before the log is looked at: what another part follows is complete
@@ -92,6 +91,15 @@ def ask(path: Path, text: str, now: Callable[[], float] = time.monotonic) -> tup
         raise BenchError(f"the program that records {run.path} did not confirm the mark within {ANSWER:g} s")
     (run.path / layout.ASKED).unlink(missing_ok=True)
     raise BenchError(f"{run.path} has just ended: mark a device time with --at S")
+
+
+def _recorded(path: Path) -> Run:
+    """The run that is being recorded. Between two parts there may be none, for less than `LOOKS` looks."""
+    for look in range(LOOKS):
+        time.sleep(PAUSE if look else 0.0)
+        if (run := Run(newest(path))).being_written:
+            return run
+    raise BenchError(f"{run.path} is not being recorded: mark a device time with --at S")
 
 
 def add(path: Path, text: str, seconds: float) -> Mark:
@@ -110,10 +118,10 @@ def add(path: Path, text: str, seconds: float) -> Mark:
     except OSError as error:
         raise BenchError(f"{path} cannot be marked: {error.strerror}") from None
     try:
-        fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(log)
         data = (path / layout.LOG).read_bytes()
         write_all(log, (b"" if data.endswith(b"\n") else b"\n") + layout.line_of(layout.mark_record(mark)).encode())
-        os.fdatasync(log)
+        sync(log)
     except BlockingIOError:
         raise BenchError(f"{path} is being recorded: omit --at to mark the present moment") from None
     except OSError as error:

@@ -6,7 +6,6 @@ left out, counted as lost, and named with its time in `Run.damage`.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import mmap
 import re
@@ -42,6 +41,7 @@ from bench.signal.chunks import (
     part,
 )
 from bench.signal.verdict import Verdict
+from bench.system import lock
 from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat
 from protocol.streams import OFF, OFF_SHARE, EdgeChunk, SampleChunk, StreamConfig
@@ -229,7 +229,7 @@ class Run:
         """Whether a program is recording it."""
         with (self.path / layout.LOG).open("rb") as log:
             try:
-                fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                lock(log.fileno(), shared=True)
             except OSError:
                 return True
         return False

@@ -21,13 +21,14 @@ import numpy as np
 from bench.device.heard import Chunk, ClockRestarted, Misdated, Missing, Note, ParameterSet
 from bench.device.losses import LossAccount
 from bench.record import journal, layout
-from bench.record.folder import RunFolder, SegmentFile, append_to, write_all
+from bench.record.folder import RunFolder, SegmentFile, write_all
 from bench.record.info import Kept, Mark, RunInfo, SummaryText, stream_to_json
 from bench.record.later import Later
 from bench.record.layout import Columns
 from bench.record.overview import BIN, Overview
 from bench.record.ring import Ring
 from bench.signal.chunks import join, part
+from bench.system import append_to, removed, sync
 from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import EventCode, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -78,11 +79,16 @@ class RunWriter:
         self._told: dict[int, tuple[object, ...]] = {}  # of the last heartbeat that was logged, by node
         self._folder = RunFolder(path, info, overwrite)
         self._line = self._folder.line
-        self._journal = append_to(self._folder.path / layout.journal_name(1))
         self._whole = whole
         self._later = later
+        self._held: list[Path] = []  # files of segments that were let go, which another program had open
         if not whole:
             self._folder.put_in_place()
+        try:
+            self._journal = append_to(self._folder.path / layout.journal_name(1))
+        except OSError:
+            self._folder.discard()
+            raise
 
     # -- what comes ---------------------------------------------------------------------------------------------
 
@@ -146,7 +152,7 @@ class RunWriter:
 
     def sync(self) -> None:
         """Have the disk take what was written, so that a power cut costs no more than what comes after."""
-        self._do(partial(os.fdatasync, self._journal))
+        self._do(partial(sync, self._journal))
         self._do(self._folder.sync)
 
     def _do(self, work: Callable[[], object]) -> None:
@@ -170,6 +176,8 @@ class RunWriter:
             self._line({"kind": "end", "samples": self.samples_written, "edges": self.edges_written, "lost": lost})
             self.sync()
             self._wait()
+            os.close(self._journal)
+            self._journal = -1
             (self._folder.path / layout.journal_name(self._number)).unlink()
             (self._folder.path / layout.ASKED).unlink(missing_ok=True)
             if self._whole:
@@ -290,9 +298,8 @@ class RunWriter:
             self._line({"kind": "removed", "number": number})
         if gone:
             self._folder.sync()
-        for number in gone:
-            for file in self.path.glob(layout.file_name("*", number)):
-                file.unlink()
+        self._held += [file for number in gone for file in self.path.glob(layout.file_name("*", number))]
+        self._held = [file for file in self._held if not removed(file)]
 
     def _moment(self, first: int, last: int) -> None:
         if self._ring is not None:

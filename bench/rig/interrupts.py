@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import _thread
-import os
 import signal
 import sys
 import threading
@@ -13,7 +12,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 from bench.errors import Interrupted
-from sim.interrupts import ENDING, Held
+from sim.interrupts import ENDING, Held, send
 
 AGAIN = 0.01  # s
 CONDITION = {found.__code__ for found in vars(threading.Condition).values() if hasattr(found, "__code__")}
@@ -30,7 +29,7 @@ def ctrl_c_kills() -> None:
 def killed_by_ctrl_c() -> None:
     """End this process as Ctrl-C does where nobody catches it, without a word."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    os.kill(os.getpid(), signal.SIGINT)
+    send(signal.SIGINT)
 
 
 @contextmanager
@@ -62,7 +61,7 @@ def none_dropped() -> Iterator[None]:
 
 @contextmanager
 def signals_as_exceptions(kind: type[BaseException] = Interrupted) -> Iterator[None]:
-    """SIGTERM, SIGHUP and SIGQUIT raise `kind(number)` in the main thread, as Ctrl-C raises KeyboardInterrupt."""
+    """All of `ENDING` but SIGINT raise `kind(number)` in the main thread, as Ctrl-C raises KeyboardInterrupt."""
     with _handled(dict.fromkeys((number for number in ENDING if number != signal.SIGINT), kind)):
         yield
 
@@ -106,11 +105,11 @@ def _locks(frame: FrameType | None) -> bool:
 def _again(number: int) -> None:
     """The signal comes again soon, not in here. No Thread: its locks may be held where a handler runs."""
 
-    def send() -> None:
+    def later() -> None:
         time.sleep(AGAIN)
-        os.kill(os.getpid(), number)
+        send(number)
 
-    _thread.start_new_thread(send, ())
+    _thread.start_new_thread(later, ())
 
 
 def signal_of(interrupt: BaseException) -> int:

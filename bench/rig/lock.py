@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from bench.errors import BenchError
+from bench.files import file_name
 from bench.rig.connection import SIM
 from protocol.links.target import parse_target
 
@@ -27,7 +28,7 @@ def alone_on(*targets: str) -> Iterator[None]:
             from filelock import FileLock, Timeout
 
             place = hashlib.sha256(parse_target(target).place.encode()).hexdigest()[:16]
-            lock = FileLock(folder() / f"hallbench-{getpass.getuser()}-{place}.lock", timeout=0)
+            lock = FileLock(folder() / f"hallbench-{file_name(getpass.getuser())}-{place}.lock", timeout=0)
             try:
                 stack.enter_context(lock)
             except Timeout:

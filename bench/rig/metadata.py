@@ -53,6 +53,6 @@ def about_bench(settings: Settings) -> dict[str, Any]:
 def changed_keys(path: Path) -> dict[str, Any]:
     """What a configuration of the simulated drive puts in the place of defaults, by dotted key; empty if unreadable."""
     try:
-        return dict(leaves(tomllib.loads(path.read_text())))
+        return dict(leaves(tomllib.loads(path.read_text(encoding="utf-8-sig"))))
     except (OSError, ValueError):  # whoever opens the drive says what is wrong with it
         return {}

@@ -5,16 +5,14 @@ Nothing here blocks, knows a drive or decides how long to wait: it shows the wor
 
 from __future__ import annotations
 
-import os
-import select
 import sys
-import termios
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
 import click
 
 from bench.errors import BenchError
+from bench.system import forget_typed, typed_line
 
 Answered = Callable[[float], bool]
 """Waits for at most so many s; whether the person has done it. BenchError when nobody is there any more."""
@@ -34,17 +32,12 @@ def asked(words: str) -> Iterator[Answered]:
     terminal = sys.__stdin__.fileno()
 
     def answered(timeout: float) -> bool:
-        if not select.select([terminal], [], [], timeout)[0]:
-            return False
-        try:
-            line = os.read(terminal, 1024)
-        except OSError:  # it was hung up
-            line = b""
-        if not line:
+        line = typed_line(terminal, timeout)
+        if line == b"":
             raise BenchError(f"there is no terminal any more to ask: {words}")
-        return True
+        return line is not None
 
-    termios.tcflush(terminal, termios.TCIFLUSH)
+    forget_typed(terminal)
     click.echo(f"{words}, then press Enter: ", nl=False, err=True)
     try:
         yield answered

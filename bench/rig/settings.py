@@ -119,7 +119,7 @@ def read_settings(path: Path | None) -> Settings:
     """Read `path`, or `bench.toml` in the present directory if there is one. BenchError for what cannot be used."""
     file = path or Path(FILE)
     try:
-        data = tomllib.loads(file.read_text())
+        data = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         if path is None:
             return Settings()
@@ -164,7 +164,9 @@ def write_rated(path: Path | None, told: Mapping[str, float | None]) -> None:
         raise BenchError(f"{file} says [rated] {key} = {there[key]:g}, not {given[key]:g}: change it there")
     if not given:
         return
-    lines = file.read_text().splitlines() if file.exists() else []
+    before = file.read_bytes().decode() if file.exists() else ""
+    mark, end = "\ufeff"[: before.startswith("\ufeff")], "\r\n" if "\r\n" in before else "\n"
+    lines = before.removeprefix(mark).replace("\r\n", "\n").removesuffix("\n").split("\n") if before else []
     at = next((k for k, line in enumerate(lines, 1) if re.fullmatch(r"\s*\[\s*rated\s*\]\s*(#.*)?", line)), 0)
     if not at:
         lines += [*([""] if lines else []), "[rated]"]
@@ -175,7 +177,7 @@ def write_rated(path: Path | None, told: Mapping[str, float | None]) -> None:
         tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise BenchError(f"[rated] does not fit into {file} ({error}): write it there by hand") from None
-    write(file, text, str(file))
+    write(file, mark + text.replace("\n", end), str(file))
 
 
 def _numbers(name: str) -> list[str]:

@@ -40,7 +40,7 @@ class Outside:
 def read(path: Path) -> dict[str, tuple[float, float]]:
     """Limits from a TOML or JSON (.json) file: `name = [lo, hi]`. BenchError names the file and what is wrong in it."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         data = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except OSError as error:
         raise BenchError(f"--expect {path} cannot be read: {error.strerror}") from None

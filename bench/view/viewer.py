@@ -20,6 +20,7 @@ from urllib.parse import quote
 
 from bench.errors import ViewerError
 from bench.record.info import RunInfo
+from bench.system import APART
 from bench.view.sinks import LiveSink
 
 HOST = "127.0.0.1"
@@ -30,7 +31,8 @@ NATIVE_OPTIONS = ("--bind", HOST, "--port", "auto", "--hide-welcome-screen", "--
 START_TIMEOUT = 15.0  # s
 NATIVE_GRACE = 1.0  # s: a viewer without a display ends sooner than that
 
-# $1...: the viewer. Standard input is a pipe from the bench: when it ends, so does the whole process group.
+# Arguments: the viewer. Standard input is a pipe from the bench: when it ends, so does the whole process group, or the
+# viewer where there are none.
 _GUARD = """
 exec 3<&0
 "$@" 3<&- </dev/null &
@@ -39,6 +41,21 @@ viewer=$!
 exec 3<&-
 wait $viewer
 """
+_GUARD_WITHOUT_GROUPS = """
+import subprocess, sys, threading
+viewer = subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL)
+threading.Thread(target=lambda: (sys.stdin.buffer.read(), viewer.kill()), daemon=True).start()
+sys.exit(viewer.wait())
+"""
+_GUARDED = (
+    [sys.executable, "-I", "-c", _GUARD_WITHOUT_GROUPS]
+    if sys.platform == "win32"
+    else ["/bin/sh", "-c", _GUARD, "guard"]
+)
+# Linux needs SO_REUSEADDR for a port that was used just now; on Windows that takes a port away from who listens there.
+_ALONE = getattr(socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR)
+_GUARD_TIME = 2.0  # s in which a guard ends its viewer
+_SLICE = 0.2  # s: on Windows no signal ends a wait
 
 
 def free_port(first: int, wanted: int | None = None, use: str = "the live view") -> int:
@@ -58,7 +75,7 @@ def free_port(first: int, wanted: int | None = None, use: str = "the live view")
 
 def _is_free(port: int) -> bool:
     with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.setsockopt(socket.SOL_SOCKET, _ALONE, 1)
         try:
             probe.bind((HOST, port))
         except (OSError, OverflowError):
@@ -70,10 +87,11 @@ def binary() -> Path:
     """The viewer itself. The `rerun` script is a shim: killing that would orphan the viewer."""
     import rerun_cli
 
-    path = Path(rerun_cli.__file__).with_name("rerun.exe" if sys.platform == "win32" else "rerun")
-    if not path.exists():
-        raise ViewerError(f"rerun's viewer is missing at {path}: reinstall rerun-sdk, or use --viewer none")
-    return path
+    paths = [Path(rerun_cli.__file__).with_name(name) for name in ("rerun", "rerun.exe")]
+    for path in paths:
+        if path.exists():
+            return path
+    raise ViewerError(f"rerun's viewer is missing at {paths[0]}: reinstall rerun-sdk, or use --viewer none")
 
 
 class ViewerProcess:
@@ -81,11 +99,12 @@ class ViewerProcess:
 
     def __init__(self, arguments: list[str]) -> None:
         self._process = subprocess.Popen(
-            ["/bin/sh", "-c", _GUARD, "guard", str(binary()), *arguments],
+            [*_GUARDED, str(binary()), *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
+            creationflags=APART,
         )
         self.group = self._process.pid
         atexit.register(self.close)
@@ -97,6 +116,9 @@ class ViewerProcess:
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the viewer ends (its window is closed); False after `timeout` s."""
+        while sys.platform == "win32" and timeout is None:
+            if self.wait(_SLICE):
+                return True
         try:
             self._process.wait(timeout)
         except subprocess.TimeoutExpired:
@@ -106,14 +128,20 @@ class ViewerProcess:
     def close(self) -> None:
         """End the viewer and its guard, stopped ones too."""
         atexit.unregister(self.close)
-        for number in (signal.SIGTERM, signal.SIGKILL):
+        assert self._process.stdin is not None
+        if sys.platform == "win32":
+            self._process.stdin.close()
+            if not self.wait(_GUARD_TIME):
+                self._process.kill()
+                self.wait()
+        else:
+            for number in (signal.SIGTERM, signal.SIGKILL):
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.killpg(self.group, number)
+                if self.wait(0.5 if number == signal.SIGTERM else None):
+                    break
             with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self.group, number)
-            if self.wait(0.5 if number == signal.SIGTERM else None):
-                break
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self.group, signal.SIGKILL)
-        if self._process.stdin:
+                os.killpg(self.group, signal.SIGKILL)
             self._process.stdin.close()
 
 

@@ -77,7 +77,10 @@ def library(pool: int, frames: int) -> ctypes.CDLL:
             with tempfile.TemporaryDirectory(dir=target.parent) as folder:
                 made = Path(folder, target.name)
                 done = subprocess.run(
-                    [*command, "-o", made, *(SOURCE / name for name in FILES)], capture_output=True, text=True
+                    [*command, "-o", made, *(SOURCE / name for name in FILES)],
+                    capture_output=True,
+                    encoding="utf-8",
+                    errors="replace",
                 )
                 if done.returncode:
                     raise NoCompiler(f"{command[0]} cannot compile {SOURCE}: {done.stderr.strip()[:500]}")

@@ -73,7 +73,10 @@ class Link(Protocol):
 
 
 class DescriptorLink(ABC):
-    """Read and write of a link over a non-blocking file descriptor: select, then take what is there."""
+    """Read and write of a link over a non-blocking file descriptor: select, then take what is there.
+
+    A link that is none on every system brings its own `_come`, `_ready`, `_take`, `_give` and `_room`.
+    """
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -113,21 +116,38 @@ class DescriptorLink(ABC):
     def _gone(self, cause: OSError | None) -> LinkClosed:
         """The error that says how this kind of link is lost; `cause` is None at an end of file."""
 
-    def _come(self, fd: int, timeout: float) -> bool:
-        """Whether bytes can be read within `timeout` s. OSError if the link is gone, or True, and the read tells."""
-        return readable(fd, timeout)
+    def _closed(self) -> bool:
+        return self._fileno() < 0
 
-    def _require_open(self) -> int:
-        fd = self._fileno()
-        if fd < 0:
+    def _ready(self, timeout: float) -> bool:
+        """Whether bytes can be read within `timeout` s. OSError if the link is gone, or True, and the read tells."""
+        return readable(self._fileno(), timeout)
+
+    def _come(self, timeout: float) -> bool:
+        """The same, for a read that settles."""
+        return self._ready(timeout)
+
+    def _take(self, most: int) -> bytes:
+        """Up to so many bytes that have come; b"" at the end of the link. BlockingIOError for none, else OSError."""
+        return os.read(self._fileno(), most)
+
+    def _give(self, data: memoryview) -> int:
+        """How many bytes of it were taken. BlockingIOError for none, else OSError."""
+        return os.write(self._fileno(), data)
+
+    def _room(self, timeout: float) -> bool:
+        """Whether the link takes more within `timeout` s."""
+        return writable(self._fileno(), timeout)
+
+    def _require_open(self) -> None:
+        if self._closed():
             raise LinkClosed(f"{self.name} is closed")
-        return fd
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`."""
-        fd = self._require_open()
+        self._require_open()
         try:
-            if not self._held and not (self._come if settle > 0.0 else readable)(fd, max(0.0, timeout)):
+            if not self._held and not (self._come if settle > 0.0 else self._ready)(max(0.0, timeout)):
                 return b""
         except OSError as error:
             raise self._gone(error) from None
@@ -136,13 +156,13 @@ class DescriptorLink(ABC):
             if (pause := min(until, self._due) - time.monotonic()) > 0.0:
                 time.sleep(pause)
             start, before = time.monotonic(), len(self._held)
-            more = self._drain(fd, REFILL if settle > 0.0 else 0.0)
+            more = self._drain(REFILL if settle > 0.0 else 0.0)
             self._due = start + (SLICE if len(self._held) < before + BRIM else AGAIN)
             if not more or time.monotonic() >= until:
                 got, self._held = self._held, bytearray()
                 return bytes(got)
 
-    def _drain(self, fd: int, refill: float) -> bool:
+    def _drain(self, refill: float) -> bool:
         """Hold what has arrived, up to `MAX_READ` in all; False if no more can be taken now.
 
         Linux hands a pty's bytes over by another thread: after each read of `FULL` `refill` s are waited for more.
@@ -150,9 +170,9 @@ class DescriptorLink(ABC):
         wait = 0.0
         while (free := MAX_READ - len(self._held)) > 0:
             try:
-                if not self._come(fd, wait):
+                if not self._come(wait):
                     return True
-                part = os.read(self._fileno(), free)
+                part = self._take(free)
             except BlockingIOError:
                 return True
             except OSError as error:
@@ -172,15 +192,15 @@ class DescriptorLink(ABC):
 
     def write(self, data: bytes) -> None:
         """See `Link.write`."""
-        fd = self._require_open()
+        self._require_open()
         rest = memoryview(data)
         deadline = time.monotonic() + WRITE_TIMEOUT
         while rest:
             try:
-                rest = rest[os.write(self._fileno(), rest) :]
+                rest = rest[self._give(rest) :]
             except BlockingIOError:
                 left = deadline - time.monotonic()
-                if left <= 0.0 or not select.select([], [fd], [], left)[1]:
+                if left <= 0.0 or not self._room(left):
                     sent = len(data) - len(rest)
                     raise LinkError(
                         f"{self.name} took {sent} of {len(data)} bytes in {WRITE_TIMEOUT:g} s: "
@@ -193,3 +213,8 @@ class DescriptorLink(ABC):
 def readable(fd: int, timeout: float) -> bool:
     """Whether a descriptor can be read within `timeout` s."""
     return bool(select.select([fd], [], [], timeout)[0])
+
+
+def writable(fd: int, timeout: float) -> bool:
+    """Whether a descriptor can be written within `timeout` s."""
+    return bool(select.select([], [fd], [], timeout)[1])

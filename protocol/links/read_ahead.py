@@ -29,7 +29,8 @@ class ReadAhead:
         self._pipe, end = os.pipe()
         try:
             _deepen(end)
-            os.set_blocking(self._pipe, False)
+            if sys.platform != "win32":  # where it is not made
+                os.set_blocking(self._pipe, False)
             self._process = subprocess.Popen(
                 [sys.executable, "-I", "-S", str(_PROGRAM), str(port)],
                 bufsize=0, stdin=subprocess.PIPE, stdout=end, stderr=subprocess.DEVNULL, pass_fds=(port,),
@@ -92,8 +93,8 @@ class ReadAhead:
 
 def _deepen(pipe: int) -> None:
     """Have it hold as much as this system lets one user's pipe hold."""
-    import fcntl
+    if sys.platform == "linux":
+        import fcntl
 
-    if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
         with suppress(OSError):  # other programs of this user hold too much
             fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)

@@ -16,7 +16,7 @@ def rivals(port: str, but: int = 0) -> list[str]:
     Linux.
     """
     try:
-        wanted = os.stat(port).st_rdev
+        wanted = _device(os.stat(port))
         processes = sorted(int(entry.name) for entry in PROC.iterdir() if entry.name.isdecimal())
     except OSError:
         return []
@@ -25,12 +25,14 @@ def rivals(port: str, but: int = 0) -> list[str]:
         if pid not in (os.getpid(), but) and _has_open(PROC / str(pid), port, wanted):
             with suppress(OSError):
                 if _parent(PROC / str(pid)) not in found:  # else that has it read ahead
-                    found[pid] = f"{(PROC / str(pid) / 'comm').read_text().strip()} (pid {pid})"
+                    found[pid] = f"{(PROC / str(pid) / 'comm').read_text('utf-8', 'replace').strip()} (pid {pid})"
     return list(found.values())
 
 
 def _parent(process: Path) -> int:
-    (line,) = (line for line in (process / "status").read_text().splitlines() if line.startswith("PPid:"))
+    (line,) = (
+        line for line in (process / "status").read_text("utf-8", "replace").splitlines() if line.startswith("PPid:")
+    )
     return int(line.split()[1])
 
 
@@ -41,10 +43,13 @@ def _has_open(process: Path, port: str, wanted: int) -> bool:
         for entry in (process / "fd").iterdir():
             with suppress(OSError):
                 place = os.readlink(entry)
-                if (
-                    place.endswith("/ptmx")
-                    and f"tty-index:\t{index}\n" in (process / "fdinfo" / entry.name).read_text()
+                if place.endswith("/ptmx") and f"tty-index:\t{index}\n" in (process / "fdinfo" / entry.name).read_text(
+                    "utf-8"
                 ):
                     return False
-                there |= place.startswith("/dev/") and os.stat(entry).st_rdev == wanted
+                there |= place.startswith("/dev/") and _device(os.stat(entry)) == wanted
     return there
+
+
+def _device(status: os.stat_result) -> int:
+    return int(getattr(status, "st_rdev", 0))  # Windows has none

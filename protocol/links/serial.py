@@ -1,18 +1,15 @@
 """Link over a serial port: a UART adapter, a microcontroller's USB port, or a pty.
 
-pyserial opens and locks the port; reading and writing go to the descriptor directly, because pyserial's read
-throws away the bytes that it holds when the port vanishes, and polls with calls that fail on a pty.
+pyserial opens and locks the port; `protocol.links.serial_port` reads and writes.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
-import struct
+import re
 import sys
-import termios
 import time
 
 import serial
@@ -22,16 +19,19 @@ from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, Targe
 from protocol.links.base import DescriptorLink
 from protocol.links.read_ahead import ReadAhead
 from protocol.links.rivals import rivals
+from protocol.links.serial_port import DescriptorPort, PolledPort
 from protocol.links.target import SerialTarget
 from protocol.wire import ByteWire, HostWire
 
-_TCGETS2 = 0x802C542A
-_TERMIOS2 = struct.Struct("=4I20x2I")  # c_iflag..c_lflag, c_line and c_cc, c_ispeed, c_ospeed
 _GONE = {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO}
 _RATE_TOLERANCE = 0.03
 BOOT = 7.0  # s after opening a port in which a board that was reset by that is waited for
 MUCH = 50_000  # bytes/s from which on a port is read ahead: a pty holds 12 KiB, 0.2 s of that
 LOOK = 0.005  # s between two looks at a port for which nothing has come
+OPENED: type[DescriptorPort | PolledPort] = PolledPort if sys.platform == "win32" else DescriptorPort
+"""What reads and writes a port on this system."""
+_TOLD = re.compile(r"Error\((\d+), .*, None, (\d+)\)")  # errno and Windows' own number, in pyserial's words there
+_WRONG_PARAMETER = 87  # Windows' number of it
 
 
 class SerialLink(DescriptorLink):
@@ -50,6 +50,7 @@ class SerialLink(DescriptorLink):
         self._port: serial.Serial | None = None
         self._ahead: ReadAhead | None = None
         self._much = False  # whether much is expected of it
+        self._opened: DescriptorPort | PolledPort | None = None
         self._open()
 
     def _open(self) -> None:
@@ -63,9 +64,9 @@ class SerialLink(DescriptorLink):
         except OSError as error:
             raise self._cannot_open(error) from None
         try:
-            self._set_minimum(opened.fileno())
-            actual = line_rate(opened.fileno())
-        except (OSError, termios.error) as error:
+            self._opened = OPENED(opened)
+            actual = self._opened.rate()
+        except OSError as error:
             opened.close()
             raise LinkNotFound(f"{port} disappeared while being opened: {error}") from None
         if actual is not None and abs(actual - baud) > _RATE_TOLERANCE * baud:
@@ -75,31 +76,27 @@ class SerialLink(DescriptorLink):
         if self._much:
             self._read_ahead()
 
-    @staticmethod
-    def _set_minimum(fd: int) -> None:
-        """VMIN = 1: an empty read then means that the port is gone, never that there is nothing to read."""
-        attributes = termios.tcgetattr(fd)
-        attributes[6][termios.VMIN] = 1
-        attributes[6][termios.VTIME] = 0
-        termios.tcsetattr(fd, termios.TCSANOW, attributes)
-
     def _bad_rate(self, actual: int | None = None) -> TargetError:
         port, baud = self.target.port, self.target.baud
         instead = f" (its driver would run at {actual})" if actual else ""
         return TargetError(f"{port} cannot run at {baud} baud{instead}: choose another rate")
 
-    def _cannot_open(self, error: OSError) -> LinkError:
-        port = self.target.port
-        if error.errno in (errno.EAGAIN, errno.EBUSY):
+    def _cannot_open(self, error: OSError) -> LinkError | TargetError:
+        port, number = self.target.port, error.errno
+        if told := _TOLD.search(str(error)):
+            if int(told[2]) == _WRONG_PARAMETER:
+                return self._bad_rate()
+            number = errno.EBUSY if int(told[1]) == errno.EACCES else int(told[1])  # Windows refuses a second opening
+        if number in (errno.EAGAIN, errno.EBUSY):
             named = f" ({', '.join(others)})" if (others := rivals(port)) else ""
             return LinkBusy(f"{port} is held by another program{named}: close it and try again")
-        if error.errno in (errno.EACCES, errno.EPERM):
+        if number in (errno.EACCES, errno.EPERM):
             return LinkError(f"no permission for {port}: add your user to its group (often dialout)")
-        if error.errno in _GONE:
+        if number in _GONE:
             ports = [info.device for info in list_ports.comports()]
             there = f"ports here: {', '.join(ports)}" if ports else "this machine has no serial port"
             return LinkNotFound(f"no port {port}; {there}")
-        if error.errno == errno.EISDIR or "Could not configure port" in str(error):
+        if number == errno.EISDIR or "Could not configure port" in str(error):
             return LinkError(f"{port} is not a serial port")
         return LinkError(f"cannot open {port}: {error}")
 
@@ -119,9 +116,10 @@ class SerialLink(DescriptorLink):
             self._read_ahead()
 
     def _read_ahead(self) -> None:
-        if os.name == "posix" and sys.executable:
+        self._require_open()
+        if isinstance(self._opened, DescriptorPort) and sys.executable:
             with contextlib.suppress(OSError):  # else it is read from here
-                self._ahead = ReadAhead(self._require_open())
+                self._ahead = ReadAhead(self._fileno())
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`."""
@@ -143,36 +141,47 @@ class SerialLink(DescriptorLink):
         self._read_here()
         if self._port is not None:
             self._port.close()
-            self._port = None
+            self._port = self._opened = None
 
-    def _come(self, fd: int, timeout: float) -> bool:
+    def _closed(self) -> bool:
+        return self._port is None
+
+    def _fileno(self) -> int:
+        return -1 if self._port is None else int(self._port.fileno())
+
+    def _ready(self, timeout: float) -> bool:
+        """See `DescriptorLink._ready`."""
+        return super()._ready(timeout) if isinstance(self._opened, DescriptorPort) else self._come(timeout)
+
+    def _come(self, timeout: float) -> bool:
         """See `DescriptorLink._come`. On an empty port `select` and `read` stand still until Linux's worker had a core.
 
         On a busy machine that was 0.3 s, too long for a drive's watchdog: it is only asked how many bytes there are.
         """
         end = 0.0
-        while not any(fcntl.ioctl(fd, termios.FIONREAD, bytes(4))):
+        there = self._there
+        while not there.waiting():
             if (now := time.monotonic()) >= (end := end or now + timeout):
                 return False
             time.sleep(min(end - now, LOOK))
         return True
 
-    def _fileno(self) -> int:
-        return -1 if self._port is None else int(self._port.fileno())
+    @property
+    def _there(self) -> DescriptorPort | PolledPort:
+        if self._opened is None:  # another thread has closed it
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        return self._opened
+
+    def _take(self, most: int) -> bytes:
+        return self._there.take(most)
+
+    def _give(self, data: memoryview) -> int:
+        return self._there.give(data)
+
+    def _room(self, timeout: float) -> bool:
+        return self._there.room(timeout)
 
     def _gone(self, cause: OSError | None) -> LinkClosed:
         self.close()
-        why = "" if cause is None else f" ({cause.strerror})"
+        why = "" if cause is None else f" ({cause.strerror or cause})"
         return LinkClosed(f"{self.name} is gone{why}: unplugged, or the device was reset")
-
-
-def line_rate(fd: int) -> int | None:
-    """The rate in baud at which a terminal's driver says it sends; None where this system does not tell."""
-    if sys.platform != "linux":
-        return None
-    state = bytearray(_TERMIOS2.size)
-    try:
-        fcntl.ioctl(fd, _TCGETS2, state)
-    except OSError:
-        return None
-    return int(_TERMIOS2.unpack(state)[5])

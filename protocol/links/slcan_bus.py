@@ -293,7 +293,7 @@ class _Port(SerialLink):
         super()._open()
         if self._rtscts and self._port is not None:
             self._port.rtscts = True
-            self._set_minimum(self._port.fileno())  # pyserial has just set it back
+            self._there.set_up()  # pyserial has just set it back
 
 
 def _command(name: str, value: int, commands: dict[int, bytes]) -> bytes:

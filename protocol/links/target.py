@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 from protocol.errors import TargetError
 from protocol.text import did_you_mean, either
 
+_COM = re.compile(r"(?:\\\\\.\\)?(COM\d+)", re.IGNORECASE)  # a serial port of Windows
+
 if TYPE_CHECKING:
     from protocol.canmap.frame import BusRates
 
@@ -100,7 +102,7 @@ class SerialTarget(Target):
     @property
     def place(self) -> str:
         """See `Target.place`: the device, whatever links lead there."""
-        return str(Path(self.port).resolve())
+        return _place_of(self.port)
 
     def __str__(self) -> str:
         given = {"baud": (self.baud, DEFAULT_BAUD), "open_delay": (self.open_delay, 0.0)}
@@ -194,8 +196,8 @@ class CanTarget(Target):
     @property
     def place(self) -> str:
         """See `Target.place`: the bus, or the serial port of its adapter."""
-        if self.channel is not None and self.channel.startswith("/"):
-            return str(Path(self.channel).resolve())
+        if self.channel is not None and (self.channel.startswith("/") or _COM.fullmatch(self.channel)):
+            return _place_of(self.channel)
         return super(CanTarget, self).place  # a dataclass with slots is not the class that `super()` knows
 
     @property
@@ -265,6 +267,12 @@ def _read_options(text: str, query: str) -> dict[str, str]:
             raise TargetError(f"target '{text}' gives {key} twice")
         options[key] = value
     return options
+
+
+def _place_of(port: str) -> str:
+    """Of a serial port: Windows has three ways to write each of its own."""
+    com = _COM.fullmatch(port)
+    return com[1].upper() if com else str(Path(port).resolve())
 
 
 def _allow(text: str, options: Mapping[str, str], allowed: tuple[str, ...]) -> None:

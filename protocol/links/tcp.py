@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 import socket
 
 from protocol.errors import LinkClosed, LinkNotFound
@@ -55,6 +57,20 @@ class TcpLink(DescriptorLink):
 
     def _fileno(self) -> int:
         return -1 if self._socket is None else self._socket.fileno()
+
+    def _take(self, most: int) -> bytes:
+        """See `DescriptorLink._take`: Windows reads a socket by no other call."""
+        return self._opened.recv(most)
+
+    def _give(self, data: memoryview) -> int:
+        """See `DescriptorLink._give`."""
+        return self._opened.send(data)
+
+    @property
+    def _opened(self) -> socket.socket:
+        if self._socket is None:  # another thread has closed it
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        return self._socket
 
     def _gone(self, cause: OSError | None) -> LinkClosed:
         self.close()

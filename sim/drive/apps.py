@@ -102,7 +102,7 @@ class DriveApp:
         try:
             settable = {p.name for p in self.parameters if not p.flags & Flag.READ_ONLY}
             values = {name: value for name, value in self._bench.parameters.items() if name in settable}
-            new.write_text(json.dumps(values, indent=1) + "\n")
+            new.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
             os.replace(new, self._store)
         except OSError as error:
             raise Refused(f"cannot write {self._store}: {error.strerror}", ErrorCode.STORE_FAILED) from None
@@ -168,7 +168,7 @@ def _limit(what: str, size: float, limit: float) -> None:
 
 def _read_store(path: Path, parameters: Sequence[Parameter]) -> dict[str, float]:
     try:
-        stored = json.loads(path.read_text())
+        stored = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:

@@ -12,17 +12,19 @@ import ipaddress
 import os
 import re
 import socket
-import tty
+import sys
 from pathlib import Path
 from typing import Protocol
 
 from protocol.errors import LinkError
-from protocol.links.serial import line_rate
+from protocol.links.serial_port import line_rate
 from protocol.links.target import SerialTarget, TcpTarget
 from sim.ports.uart import misread, same_rate
 
 _CHUNK = 65536
 _SEND_BUFFER = 262144  # bytes that the kernel may hold for a slow TCP client
+HAS_PTY = sys.platform != "win32"
+NO_PTY = "this system has no pseudo terminals: serve on TCP, bench sim --tcp 127.0.0.1:7000"
 _PTY = re.compile(r"/dev/(pts/|ttys)\d+")
 _TURNED_AWAY = 8  # clients that are given time to read that there is another
 
@@ -66,7 +68,7 @@ class PtyPort:
             microcontroller's USB port, which ignores the rate.
 
     Raises:
-        LinkError: `link` cannot be made.
+        LinkError: `link` cannot be made, or the system has no ptys.
     """
 
     def __init__(self, link: Path | None = None, baud: int | None = None) -> None:
@@ -86,13 +88,7 @@ class PtyPort:
         """See `Port.plug`."""
         if self._master >= 0:
             return
-        try:
-            self._master, self._slave = os.openpty()
-        except OSError as error:
-            raise LinkError(f"no pty available: {error.strerror}") from None
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self._name = os.ttyname(self._slave)
+        self._master, self._slave, self._name = _new_pty()
         if self._link is not None:
             try:
                 if self._link.is_symlink() and _PTY.fullmatch(os.readlink(self._link)):
@@ -154,6 +150,22 @@ class PtyPort:
             return None
         rate = line_rate(self._master)
         return None if rate is None or same_rate(self._baud, rate) else rate
+
+
+def _new_pty() -> tuple[int, int, str]:
+    """Descriptors of both ends, the first one not blocking, and the name of the other."""
+    if sys.platform == "win32":
+        raise LinkError(NO_PTY)
+    else:  # noqa: RET506
+        import tty
+
+        try:
+            master, slave = os.openpty()
+        except OSError as error:
+            raise LinkError(f"no pty available: {error.strerror}") from None
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        return master, slave, os.ttyname(slave)
 
 
 class TcpPort:

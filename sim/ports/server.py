@@ -33,7 +33,8 @@ from protocol.links.target import (
 )
 from sim.compile import tell_by
 from sim.config.params import BenchParams, ConfigError, Value, load_params
-from sim.ports.byte_ports import Port, PtyPort, TcpPort
+from sim.interrupts import there
+from sim.ports.byte_ports import HAS_PTY, NO_PTY, Port, PtyPort, TcpPort
 from sim.ports.uart import BITS_PER_CHARACTER, Pacer
 
 if TYPE_CHECKING:
@@ -49,7 +50,9 @@ MAX_BEHIND = 0.1  # s of delay that is caught up; must leave a host's ALIVE in t
 TX_BYTES = 1 << 18  # stream bytes that may wait for a port: 0.3 s of every channel
 MIN_TX_BYTES = 1 << 13
 _WRITE = 1 << 15
-_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_STOPS = there("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+_PULL, _PLUG = there("SIGUSR1"), there("SIGUSR2")
+_TAKEN = (*_STOPS, *_PULL, *_PLUG)
 
 EXPOSED = (
     "{} is open to other machines, and HBP has no authentication: whoever reaches it can spin the motor. "
@@ -65,8 +68,10 @@ class ServeOptions:
 
     tcp: str | None = None
     """HOST:PORT to listen on, port 0 = any."""
+    pty: bool = False
+    """On a pty, and nowhere else."""
     slcan: bool = False
-    """On a CAN bus behind an slcan adapter on a pty. Without any of these: a pty."""
+    """On a CAN bus behind an slcan adapter on a pty. Without any of these: a pty, or TCP where the system has none."""
     rates: BusRates = field(default_factory=BusRates)
     """Of the CAN bus."""
     extended: bool = False
@@ -204,7 +209,7 @@ class Server:
 
 
 def serve(options: ServeOptions, tell: Say) -> None:
-    """Serve until SIGINT, SIGTERM or SIGHUP.
+    """Serve until SIGINT, SIGTERM, SIGHUP or SIGBREAK.
 
     `tell` gets `target: …` once it answers; before that, only that it compiles.
 
@@ -219,10 +224,10 @@ def serve(options: ServeOptions, tell: Say) -> None:
         tell_by(tell)
         if isinstance(port, TcpPort) and port.exposed:
             print(f"warning: {EXPOSED.format(port.target)}", file=sys.stderr, flush=True)
-        with _handlers(lambda *_: _stop_at_once(port, tell), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
+        with _handlers(lambda *_: _stop_at_once(port, tell), _TAKEN):
             device = _make_device(params, options, network, tell)
         received: set[int] = set()
-        with _handlers(lambda number, _: received.add(number), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
+        with _handlers(lambda number, _: received.add(number), _TAKEN):
             tell(f"target: {port.target}")
             tell(
                 f"simulated drive (node 1) and load machine (node 2): {len(device.drive.app.channels)} channels at "
@@ -247,19 +252,27 @@ def _run(server: Server, received: set[int], tell: Say) -> None:
     next_step = time.monotonic()
     while not received.intersection(_STOPS):
         left = max(0.0, next_step - time.monotonic())
-        select.select(server.port.read_fds(), [], [], min(left, RETRY) if server.full else left)
+        _wait(server.port.read_fds(), min(left, RETRY) if server.full else left)
         now = time.monotonic()
         server.step(now)
         if now >= next_step:  # else bytes from the host woke it
             next_step = max(next_step + STEP, now)
-        if signal.SIGUSR1 in received:
-            received.discard(signal.SIGUSR1)
+        if received.intersection(_PULL):
+            received.difference_update(_PULL)
             server.port.unplug()
             tell("unplugged")
-        if signal.SIGUSR2 in received:
-            received.discard(signal.SIGUSR2)
+        if received.intersection(_PLUG):
+            received.difference_update(_PLUG)
             server.port.plug()
             tell(f"target: {server.port.target}")
+
+
+def _wait(descriptors: list[int], timeout: float) -> None:
+    """Until one can be read; Windows' `select` takes sockets, and not none."""
+    if descriptors:
+        select.select(descriptors, [], [], timeout)
+    else:
+        time.sleep(timeout)
 
 
 def _stop_at_once(port: Port, tell: Say) -> None:
@@ -289,6 +302,12 @@ def _make_port(options: ServeOptions) -> Port:
         raise ConfigError("--link needs a pty")
     if options.baud is not None and (options.tcp or options.slcan):
         raise ConfigError("--baud needs a pty; for a CAN bus use --bitrate")
+    if not HAS_PTY and not options.tcp:
+        wanted = ("--slcan", options.slcan), ("--link", options.link), ("--baud", options.baud), ("--pty", options.pty)
+        for option, value in wanted:
+            if value:
+                raise ConfigError(f"{option}: {NO_PTY}")
+        return TcpPort("127.0.0.1", 0)
     if options.slcan:
         from sim.ports.slcan_port import SlcanPort
 

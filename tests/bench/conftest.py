@@ -34,7 +34,7 @@ def start() -> Iterator[Callable[..., Program]]:
 def start_sim() -> Iterator[Callable[..., Sim]]:
     """Start `bench sim …`; killed at the end of the test."""
     with ExitStack() as started:
-        yield lambda *arguments: started.enter_context(closing(Sim(*arguments)))
+        yield lambda *arguments, **options: started.enter_context(closing(Sim(*arguments, **options)))
 
 
 @pytest.fixture(params=("bytes", "CAN"))

@@ -9,8 +9,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
-from typing import IO
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import IO, Any
 
 LIMIT = 60.0  # s, for whatever is awaited; a cold numba cache is the longest
 
@@ -20,14 +21,20 @@ ENVIRONMENT = {key: value for key, value in os.environ.items() if key not in ("D
 class Program:
     """`python -m MODULE ARGUMENTS…`, whose lines are collected by threads and awaited with a deadline."""
 
-    def __init__(self, *arguments: str, limit_resources: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self,
+        *arguments: str,
+        limit_resources: Callable[[], None] | None = None,
+        more: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        """`more`: variables of its environment."""
         self.process = subprocess.Popen(
             [sys.executable, "-m", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env=ENVIRONMENT,
+            env={**ENVIRONMENT, **more},
             preexec_fn=limit_resources,
         )
         self.out: list[str] = []
@@ -88,7 +95,7 @@ class Program:
 class Sim(Program):
     """`bench sim`; `target` is what it says to connect with."""
 
-    def __init__(self, *arguments: str, limit_resources: Callable[[], None] | None = None) -> None:
-        super().__init__("bench", "sim", *arguments, limit_resources=limit_resources)
+    def __init__(self, *arguments: str, **options: Any) -> None:
+        super().__init__("bench", "sim", *arguments, **options)
         self.target = self.line("^target: (.*)").group(1)
         self.line("^simulated drive")

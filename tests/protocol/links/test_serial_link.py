@@ -8,16 +8,27 @@ import subprocess
 import sys
 import threading
 import time
+import types
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import serial
 
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links import open_link
 from protocol.links.base import MAX_READ, SLICE
-from protocol.links.serial import SerialLink, line_rate
+from protocol.links.serial import SerialLink
+from protocol.links.serial_port import PolledPort, line_rate
 from sim.ports.byte_ports import PtyPort
+
+
+@pytest.fixture(params=["descriptor", "polled"], autouse=True)
+def opened_as(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """How this process reads and writes a port: as on Linux and macOS, or by pyserial's calls alone, as on Windows."""
+    if request.param == "polled":
+        monkeypatch.setattr("protocol.links.serial.OPENED", PolledPort)
+    return str(request.param)
 
 
 @pytest.fixture
@@ -157,9 +168,51 @@ def test_rate_reaches_the_port(port: PtyPort, baud: int) -> None:
     link.close()
 
 
-def test_a_rate_that_the_driver_changes_is_refused(port: PtyPort, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("protocol.links.serial.line_rate", lambda fd: 9600)
+def test_a_rate_that_the_driver_changes_is_refused(
+    port: PtyPort, monkeypatch: pytest.MonkeyPatch, opened_as: str
+) -> None:
+    if opened_as == "polled":
+        pytest.skip("Windows refuses the rate itself")
+    monkeypatch.setattr("protocol.links.serial_port.line_rate", lambda fd: 9600)
     with pytest.raises(TargetError, match=r"cannot run at 3000000 baud \(its driver would run at 9600\)"):
         open_link(f"{port.target}?baud=3000000")
     monkeypatch.undo()
     open_link(port.target).close()  # and the port was let go
+
+
+REFUSED = "could not open port 'COM7': {}"  # pyserial's serialwin32, with the repr of Windows' error
+CONFIGURED = "Cannot configure port, something went wrong. Original message: {}"
+
+
+@pytest.mark.parametrize(
+    ("words", "kind", "said"),
+    [
+        (REFUSED.format("PermissionError(13, 'Access is denied.', None, 5)"), LinkBusy, "held by another program"),
+        (REFUSED.format("PermissionError(13, 'Zugriff verweigert', None, 5)"), LinkBusy, "held by another program"),
+        (
+            REFUSED.format("FileNotFoundError(2, 'The system cannot find the file specified.', None, 2)"),
+            LinkNotFound,
+            "no port COM7; ports here: COM1",
+        ),
+        (
+            REFUSED.format("OSError(22, 'The semaphore timeout period has expired.', None, 121)"),
+            LinkError,
+            "cannot open COM7: .*semaphore",
+        ),
+        (
+            CONFIGURED.format("OSError(22, 'The parameter is incorrect.', None, 87)"),
+            TargetError,
+            "COM7 cannot run at 921600 baud: choose another rate",
+        ),
+    ],
+)
+def test_what_windows_says_of_a_port_is_told_as_elsewhere(
+    words: str, kind: type[Exception], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*arguments: object, **keywords: object) -> None:
+        raise serial.SerialException(words)
+
+    monkeypatch.setattr("serial.Serial", refuse)
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [types.SimpleNamespace(device="COM1")])
+    with pytest.raises(kind, match=said):
+        open_link("serial:COM7?baud=921600")

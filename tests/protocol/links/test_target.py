@@ -19,6 +19,7 @@ from protocol.links.target import DEFAULT_BAUD, MAX_HOST, MAX_NODE
         ("serial:/dev/ttyACM0", SerialTarget("/dev/ttyACM0", DEFAULT_BAUD)),
         ("serial:/dev/ttyACM0?baud=3000000", SerialTarget("/dev/ttyACM0", 3_000_000)),
         ("serial:COM3?baud=921600", SerialTarget("COM3", 921_600)),
+        (r"serial:\\.\COM10?baud=921600", SerialTarget(r"\\.\COM10", 921_600)),
         ("tcp:127.0.0.1:7000", TcpTarget("127.0.0.1", 7000)),
         ("tcp:bench.local:1", TcpTarget("bench.local", 1)),
         ("tcp:[::1]:65535", TcpTarget("::1", 65535)),
@@ -140,12 +141,15 @@ def test_however_one_place_is_written_it_is_one(tmp_path: Path) -> None:
         ["tcp:localhost:7000", "tcp:127.0.0.1:7000", "tcp:LOCALHOST:7000"],
         ["can:socketcan/can0", "can:socketcan/can0?node=2", "can:socketcan/can0?bitrate=500000"],
         ["serial:/dev/ttyACM9", "can:slcan/dev/ttyACM9", "can:slcan/dev/ttyACM9?fd=1"],
+        ["serial:COM10", "serial:com10?baud=9600", r"serial:\\.\COM10", "can:slcan/COM10?bitrate=500000"],
     ):
         assert len({parse_target(text).place for text in same}) == 1
     others = [
         "tcp:127.0.0.1:7001",
         "tcp:[::1]:7000",
         "can:socketcan/can1",
+        "serial:COM1",
+        "serial:COM10",
         "can:virtual/can0",
         "can:",
         f"serial:{tmp_path}",
