@@ -37,6 +37,9 @@ class Port(Protocol):
     def read_fds(self) -> list[int]:
         """Descriptors whose readiness means that `read` has something to do."""
 
+    def write_fds(self) -> list[int]:
+        """Descriptors whose readiness means that `write` takes something again."""
+
     def read(self) -> bytes:
         """What has arrived; b"" when nothing has."""
 
@@ -124,6 +127,8 @@ class PtyPort:
     def read_fds(self) -> list[int]:
         """See `Port.read_fds`."""
         return [self._master] if self._master >= 0 else []
+
+    write_fds = read_fds
 
     def read(self) -> bytes:
         """See `Port.read`."""
@@ -216,6 +221,10 @@ class TcpPort:
     def read_fds(self) -> list[int]:
         """See `Port.read_fds`."""
         return [s.fileno() for s in (self._listener, self._client) if s is not None]
+
+    def write_fds(self) -> list[int]:
+        """See `Port.write_fds`."""
+        return [] if self._client is None else [self._client.fileno()]
 
     def read(self) -> bytes:
         """See `Port.read`."""
