@@ -17,7 +17,7 @@ from sim.plant import dead_time, inverter, mechanics, pmsm
 
 C_3, C_4, C_5, C_6, C_7, C_8, C_9, C_10 = (1.0 / math.factorial(k) for k in range(3, 11))
 ONE_SIXTH, ONE_TWELFTH, ONE_TWENTY_FOURTH = 1.0 / 6.0, 1.0 / 12.0, 1.0 / 24.0
-ONE_THIRTIETH, ONE_SIXTIETH, ONE_BY_120 = 1.0 / 30.0, 1.0 / 60.0, 1.0 / 120.0
+ONE_SIXTIETH, ONE_BY_120 = 1.0 / 60.0, 1.0 / 120.0
 SMALL = 0.3  # rad up to which a rotation's series is good to 5e-14
 TINY = 0.06  # rad up to which a shorter one is good to 5e-15
 ROUNDS = 3  # of the iteration for the inverter's loss
@@ -305,7 +305,6 @@ def _salient_driven(params: Params, state: State, applied: inverter.Applied, pus
     faster = half * n_p * alpha0
     psi_alpha += share * (x_cos + 2.0 * cos + tilt * (a * x_cos - omega_e * x_sin + faster * sin))
     psi_beta += share * (x_sin + 2.0 * sin + tilt * (a * x_sin + omega_e * x_cos - faster * cos))
-    bend0_alpha = bend0_beta = bend_alpha = bend_beta = 0.0
     bend0_alpha, bend0_beta = _salient(motor, state.psi_alpha, state.psi_beta, cos0, sin0)
     bend_alpha, bend_beta = bend0_alpha, bend0_beta
     for _ in range(2):
