@@ -21,7 +21,7 @@ DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
 MOST_PARAMETERS = 8
 MOST_LINES = 80
 COMPILED = {"kernel", "native", "intrinsic", "overload"}
-MOST_CODE_LINES = {"bench": 30760, "sim": 8250, "protocol": 5340, "tests": 36770}
+MOST_CODE_LINES = {"bench": 30760, "sim": 8320, "protocol": 5350, "tests": 36920}
 """Whoever raises one says so in the commit."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 

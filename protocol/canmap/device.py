@@ -42,9 +42,8 @@ class _CanStream(Stream):
 
     def _put(self, wire: bytes) -> None:
         """Queue CAN_RECORDs, each on its own."""
-        for at in range(0, len(wire), RECORD_BYTES):
-            if not self._tx.put_bulk(wire[at : at + RECORD_BYTES]):
-                self.dropped += 1
+        ends = range(RECORD_BYTES, len(wire) + 1, RECORD_BYTES)
+        self.dropped += len(ends) - self._tx.put_bulk(wire, ends)
 
 
 class _Samples(_CanStream, SampleStream):

@@ -7,7 +7,6 @@ streamed: that is `protocol.device.streams`.
 
 from __future__ import annotations
 
-import struct
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -17,15 +16,23 @@ from numpy.typing import NDArray
 
 from protocol.device.tx import TxQueue
 from protocol.errors import Refused
-from protocol.framing import MAJOR, Frame, compiled, encode_frame, encoded_length
+from protocol.framing import HEADER_BYTES, MAJOR, Frame, compiled, encode_frame, encoded_length
 from protocol.messages import ErrorCode, MessageType, StreamSet
 from protocol.streams import DISCONTINUITY, EDGE_RECORD, OVERRUN, STREAM_HEADER
 
 Run = slice
 """Bytes of neighbouring channels in a full sample."""
 
-TOGETHER = 16  # frames that are encoded at once
-_FULL_HEADER = struct.Struct("<BBHHBBBBHHHII")  # frame header and stream header
+TOGETHER = 64  # frames that are encoded at once
+_HEAD = np.dtype(  # frame header and stream header
+    {
+        "names": ["type", "major", "length", "node", "stream", "flags", "n", "cfg_id", "seq", "index", "tick"],
+        "formats": ["u1", "u1", "<u2", "u1", "u1", "u1", "<u2", "<u2", "<u2", "<u4", "<u4"],
+        "offsets": [0, 1, 4, 6, 8, 9, 10, 12, 14, 16, 20],
+        "itemsize": HEADER_BYTES + STREAM_HEADER.size,
+    }
+)
+_COUNT = np.arange(TOGETHER)
 
 
 class Stream:
@@ -109,13 +116,13 @@ class _ByteStream(Stream):
     def __init__(self, node: int, stream: int, cfg_id: int, record_bytes: int, block: int, tx: TxQueue) -> None:
         super().__init__(tx)
         self.block = block
-        self._node = node
-        self._stream = stream
-        self._cfg_id = cfg_id
         self._record_bytes = record_bytes
         self._seq = 0
         self._flags = 0
         self._pending = b""
+        self._heads = np.zeros(TOGETHER, _HEAD)
+        self._heads["type"], self._heads["major"], self._heads["node"] = self.TYPE, MAJOR, node
+        self._heads["stream"], self._heads["cfg_id"] = stream, cfg_id
 
     def _emit(self, data: bytes, first: int, n: int, block: int, start: tuple[int, int], step: tuple[int, int]) -> None:
         """Send n records of `data` from record `first`, `block` to a frame.
@@ -125,29 +132,33 @@ class _ByteStream(Stream):
         """
         size, end = self._record_bytes, first + n
         index, tick = start
-        pack, put, encode = _FULL_HEADER.pack, self._tx.put_bulk, compiled().encode
+        size, end, together = self._record_bytes, first + n, TOGETHER
+        index, tick = start
         while first < end:
-            counts = [min(block, end - k) for k in range(first, end, block)[:TOGETHER]]
-            heads = [
-                pack(
-                    self.TYPE, MAJOR, 0, STREAM_HEADER.size + count * size, self._node, 0, self._stream,
-                    0 if k else self._flags, count, self._cfg_id, self._seq + k & 0xFFFF,
-                    index + k * step[0] * block & 0xFFFFFFFF, tick + k * step[1] * block & 0xFFFFFFFF,
-                )
-                for k, count in enumerate(counts)
-            ]  # fmt: skip
-            stop = first + sum(counts)
-            wire, ends = encode(b"".join(heads), len(heads), data, first * size, stop * size, block * size)
-            for count, begin, stop in zip(counts, [0, *ends], ends, strict=False):
-                sent = put(wire[begin:stop])
-                self._flags = 0 if sent else self._flags | OVERRUN
-                self._seq = (self._seq + 1) & 0xFFFF
-                index += step[0] * count
-                tick += step[1] * count
-                first += count
-                if not sent:  # the next frame tells
-                    self.dropped += 1
-                    break
+            count = min(-(-(end - first) // block), together)
+            stop = min(first + count * block, end)
+            heads, k = self._heads[:count], _COUNT[:count]
+            heads["n"], heads["length"] = block, STREAM_HEADER.size + block * size
+            if first + count * block > stop:
+                heads["n"][-1] = last = stop - first - (count - 1) * block
+                heads["length"][-1] = STREAM_HEADER.size + last * size
+            heads["flags"][0] = self._flags
+            heads["seq"] = self._seq + k
+            heads["index"] = index + step[0] * block * k
+            heads["tick"] = (tick & 0xFFFFFFFF) + step[1] * block * k
+            wire, ends = compiled().encode(heads.tobytes(), count, data, first * size, stop * size, block * size)
+            sent = self._tx.put_bulk(wire, ends)
+            if sent:
+                self._flags = heads["flags"][0] = 0
+            if sent < count:  # the next frame tells
+                self._flags |= OVERRUN
+                self.dropped += 1
+                sent += 1
+                together = 1
+            self._seq = (self._seq + sent) & 0xFFFF
+            index += step[0] * block * sent
+            tick += step[1] * block * sent
+            first += block * sent
 
 
 class _ByteSamples(_ByteStream, SampleStream):

@@ -6,7 +6,9 @@ own. A frame of which a part has gone out is always finished first. This module 
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections import deque
+from collections.abc import Sequence
 
 
 class TxQueue:
@@ -22,7 +24,8 @@ class TxQueue:
         self.control_limit = control_limit
         self.capacity = capacity
         self.rates: dict[tuple[int, int], float] = {}
-        self._bulk: deque[bytes] = deque()
+        self._bulk: deque[tuple[bytes, Sequence[int]]] = deque()  # frames that were queued at once, where each ends
+        self._first = self._begin = 0  # the next of the first such batch, and where it begins
         self._stamps: deque[tuple[int, int]] = deque()  # how many stream frames had been queued when, by `expire`
         self._queued = self._gone = 0  # stream frames ever queued, and taken or given up
         self._control: deque[bytes] = deque()
@@ -36,15 +39,15 @@ class TxQueue:
         latest = sum(map(len, self._latest.values()))
         return len(self._rest) + self._bulk_bytes + self._control_bytes + latest
 
-    def put_bulk(self, wire: bytes) -> bool:
-        """Queue a stream's frame; False, and nothing queued, if there is no room."""
-        size = self._bulk_bytes + len(wire)
-        if size > self.bulk_limit:
-            return False
-        self._bulk_bytes = size
-        self._bulk.append(wire)
-        self._queued += 1
-        return True
+    def put_bulk(self, wire: bytes, ends: Sequence[int]) -> int:
+        """Queue a stream's frames, of which each ends where `ends` says; return how many found room, the first ones."""
+        room = self.bulk_limit - self._bulk_bytes
+        n = len(ends) if len(wire) <= room else bisect_right(ends, room)
+        if n:
+            self._bulk.append((wire, ends[:n]))
+            self._bulk_bytes += ends[n - 1]
+            self._queued += n
+        return n
 
     def put_control(self, wire: bytes) -> bool:
         """Queue a reply; False, and nothing queued, if there is no room."""
@@ -66,18 +69,11 @@ class TxQueue:
     def take(self, limit: int | None = None) -> bytes:
         """Return and forget the next bytes, at most `limit`."""
         if limit is None:
-            parts = [self._rest, *self._control, *self._latest.values(), *self._bulk]
-            self._rest = b""
-            self._control.clear()
-            self._latest.clear()
-            self._gone += len(self._bulk)
-            self._bulk.clear()
-            self._control_bytes = self._bulk_bytes = 0
-            return b"".join(parts)
+            limit = len(self)
         parts = [self._rest]
         size = len(self._rest)
         while size < limit:
-            wire = self._pop()
+            wire = self._pop(limit - size)
             if not wire:
                 break
             parts.append(wire)
@@ -86,23 +82,31 @@ class TxQueue:
         self._rest = data[limit:]
         return data[:limit]
 
-    def _pop(self) -> bytes:
+    def _pop(self, size: int) -> bytes:
+        """Return and forget the next frame, of those of a stream as many as make `size` bytes, if they lie together."""
         if self._control:
             wire = self._control.popleft()
             self._control_bytes -= len(wire)
         elif self._latest:
             wire = self._latest.pop(next(iter(self._latest)))
         elif self._bulk:
-            wire = self._pop_bulk()
+            wire = self._pop_bulk(size)
         else:
             wire = b""
         return wire
 
-    def _pop_bulk(self) -> bytes:
-        wire = self._bulk.popleft()
-        self._bulk_bytes -= len(wire)
-        self._gone += 1
-        return wire
+    def _pop_bulk(self, size: int = 1) -> bytes:
+        wire, ends = self._bulk[0]
+        begin, first = self._begin, self._first
+        n = min(bisect_left(ends, begin + size, first) + 1, len(ends))
+        end = ends[n - 1]
+        self._first, self._begin = n, end
+        if n == len(ends):
+            self._bulk.popleft()
+            self._first = self._begin = 0
+        self._bulk_bytes -= end - begin
+        self._gone += n - first
+        return wire[begin:end]
 
     def expire(self, now: int, age: int) -> int:
         """Give up stream frames that have waited longer than `age`; return how many.

@@ -97,6 +97,8 @@ class SimulatedBench:
         self._source_from = 0  # the first sample at which the control uses `_source`, and not `_source_before`
         self._params, self._state, self._command = Cells(tick.Params), Cells(tick.State), Cells(tick.Command)
         self._inputs = Cells(hall_input.State)
+        self._told: tick.Command | None = None  # what the loop's command is
+        self._bench = self._params.at, self._state.at, self._inputs.at, self._command.at, self._quantiles.at
         self._drive = tick_firmware.Command(int(DriveState.IDLE), 0, 0.0, 0.0, 0.0)
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
         self._load_state = int(DriveState.IDLE)
@@ -108,8 +110,10 @@ class SimulatedBench:
         self._pulse_edges_per_period = 2 * math.ceil(1.0 / (hall_wiring.PULSE_MIN * params.clock.pwm_hz))
         self._edges, self._wire, self._flags = Cells(Edge, 0), Cells(tick.WireEdge, 0), Cells(np.uint8, 0)
         self._count = Cells(int)
+        self._room(0)
         thermal = warming.Params(**dict(params.thermal))
         self._warming = warming.Warming(thermal, warming.EVERY / params.clock.pwm_hz) if params.thermal.on else None
+        self._period_ticks = params.clock.period_ticks
         self._squares: list[NDArray[np.float64]] = []  # of the current since the last stretch of warming, A2
         self._samples = Cells(Sample, PORTION)
         firmware = self._state.array["firmware"]
@@ -203,7 +207,8 @@ class SimulatedBench:
         p, now = self._now, self._warming.factors
         motor = _motor(p, now)
         plant = self._constants.plant
-        plant = plant._replace(motor=motor, decay=integrator.make_decay(motor, plant.decay.h))
+        decay, half_decay = integrator.decays(motor, plant.decay.h)
+        plant = plant._replace(motor=motor, decay=decay, half_decay=half_decay)
         drifted = self._warming.drifted(p.current_sensor.offset, p.current_sensor.gain_error)
         sensor = current_sensor.make_params(**(dict(p.current_sensor) | drifted))
         hall = _hall(p, self._warming.magnet)
@@ -278,6 +283,7 @@ class SimulatedBench:
             raise KeyError(f"no parameter {name!r}; there are: {', '.join(self.load_parameters)}")
         before = self.load_parameters
         self.load_parameters = before | {name: _f32(value)}
+        self._enough = -1
         try:
             self._set_params()
         except ConfigError:
@@ -288,18 +294,17 @@ class SimulatedBench:
         """Run `n` control periods."""
         sections, index, first_tick = self._sections, self.n, self.tick
         block = np.empty(n * sections.words)
-        self._room(n)
-        flags, count = self._flags.array, self._count.array
-        flags[:n] = 0
-        if n:
-            flags[0] = self._reset or not self.n
+        if n > self._enough:
+            self._room(n)
+        if n:  # the others are always 0
+            self._flags.array[0] = self._reset or not index
             self._reset = False
-        count[0] = 0
-        waits = min(n, max(0, self._source_from - self.n))
+        self._count.array[0] = 0
+        waits = min(n, max(0, self._source_from - index))
         with Held():  # a handler that raises would leave some of it behind
             begin = 0
             while begin < n:
-                if self.n in self._moments:
+                if self._moments and self.n in self._moments:
                     self._switch(self._moments.pop(self.n))
                 source, upto = (self._source_before, waits) if begin < waits else (self._source, n)
                 end = min(upto, begin + PORTION)
@@ -309,8 +314,8 @@ class SimulatedBench:
                     end = min(end, begin + at - self.n)
                 self._run(source, n, block, begin, end)
                 begin = end
-        m = count[0]
-        edges, wire = self._edges.array[:m].copy(), self._wire.array[:m].astype(EDGE_RECORD)
+        m = self._count.array[0]
+        edges, wire = self._edges.array[:m].copy(), self._wire_records[:m].copy()
         return Recorded(index, first_tick, n, sections, block, edges, wire, self._load_state)
 
     def _switch(self, faults: float | None) -> None:
@@ -321,23 +326,21 @@ class SimulatedBench:
 
     def _run(self, source: int, n: int, block: NDArray[np.float64], begin: int, end: int) -> None:
         """Run the periods from `begin` up to `end` of the `n` that `block` is for, then the observers over them."""
-        self._command.first = tick.Command(self._drive, self._load, source)
+        command = tick.Command(self._drive, self._load, source)
+        if command != self._told:
+            self._command.first = self._told = command
         at, words, reset = address(block), self._sections.at, self._flags.at + begin
-        found = {
-            other: at + 8 * n * words[observing.entry.name] + begin * observing.dtype.itemsize
-            for other, observing in self._observers.items()
-        }
-        control = self._observers.get(source)
-        bench = self._params.at, self._state.at, self._inputs.at, self._command.at, self._quantiles.at
-        log = self._edges.at, self._wire.at, self._edges.array.size, self._count.at
-        into = at + 8 * begin * ROW, self._samples.at, *log
-        by = control.loop(found[source]) if control else (0, 0, 0, 0, 0)
-        tick.advance(*bench, end - begin, reset, *into, *by)
+        control, by = self._observers.get(source), (0, 0, 0, 0, 0)
+        if control:
+            by = control.loop(at + 8 * n * words[control.entry.name] + begin * control.dtype.itemsize)
+        into = at + 8 * begin * ROW, self._samples.at, *self._log
+        tick.advance(*self._bench, end - begin, reset, *into, *by)
         for other, observing in self._observers.items():
             if other != source:
-                observing.step_over(self._samples.at, reset, end - begin, found[other])
+                found = at + 8 * n * words[observing.entry.name] + begin * observing.dtype.itemsize
+                observing.step_over(self._samples.at, reset, end - begin, found)
         self.n += end - begin
-        self.tick += (end - begin) * self.params.clock.period_ticks
+        self.tick += (end - begin) * self._period_ticks
         if self._warming and end > begin:
             rows = block[begin * ROW : end * ROW].view(layout(tick.Row))
             self._squares.append(rows["i_alpha_true"] ** 2 + rows["i_beta_true"] ** 2)
@@ -347,13 +350,16 @@ class SimulatedBench:
                 self._warm()
 
     def _room(self, n: int) -> None:
-        """Room for the edges of n periods, and their flags."""
+        """Make room for the edges of n periods, and their flags."""
+        self._enough = n
         disturbed = self.load_parameters["hall_glitch"] > 0.0
         room = 100 + math.ceil((self._edges_per_period + (self._pulse_edges_per_period if disturbed else 0)) * n)
         if room > self._edges.array.size:
             self._edges, self._wire = Cells(Edge, room), Cells(tick.WireEdge, room)
         if n > self._flags.array.size:
             self._flags = Cells(np.uint8, n)
+        self._wire_records = self._wire.array.view(EDGE_RECORD)
+        self._log = self._edges.at, self._wire.at, self._edges.array.size, self._count.at
 
 
 def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float]) -> tick.Params:
@@ -373,7 +379,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             motor,
             inverter.make_params(**dict(p.inverter), T_s=period),
             mechanics.make_params(J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
-            integrator.make_decay(motor, period / p.clock.substeps),
+            *integrator.decays(motor, period / p.clock.substeps),
         ),
         dc_link.make_params(p.inverter.u_dc, **dict(p.dc_link), T_s=period),
         coupling.make_params(**dict(p.coupling), J=p.mechanics.J, **_some(dict(p.load), "tau_max", "alpha_m_max")),
@@ -399,6 +405,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             period,
             drive["n_p"],
             ampere(p),
+            1.0 / ampere(p),
             1.0 - math.exp(-math.tau * drive["bw_omega_lpf"] * period),
         ),
         p.clock.period_ticks,

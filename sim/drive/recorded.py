@@ -91,7 +91,7 @@ class Sections:
         return self._tables[key]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Recorded:
     """What n periods recorded, and m edges. `recorded[name]`: a column, see `__getitem__`."""
 

@@ -326,7 +326,7 @@ def _move(
         rng = noise.advance(world.rng)
         world = world._replace(rng=rng, wiring=hall_wiring.next_pulse(params.wiring, world.wiring, begin, rng))
     if params.input.on == 1:
-        size = math.hypot(first.i_alpha, first.i_beta)
+        size = math.sqrt(first.i_alpha * first.i_alpha + first.i_beta * first.i_beta)
         duties = (out.d_a, out.d_b, out.d_c)
         inputs[0] = hall_input.begun(params.input, inputs[0], begin, params.period_ticks, size, out.on, duties)
         world = world._replace(due=hall_input.next_due(inputs[0]))
@@ -339,10 +339,14 @@ def _move(
         if rocks:
             load = mechanics.rocked(params.rock, params.h * ((state.k - 1) * params.substeps + j + 1))
             beyond = beyond._replace(omega=load.omega_m, tau=0.0)
-        if params.coupling.stiffness > 0.0 and not rocks:
-            plant, beyond = coupling.step(constants, params.coupling, before, beyond, applied, load, params.h)
-        else:
-            plant, alpha = integrator.step(constants, before, applied, load, params.h)
+        coupled = params.coupling.stiffness > 0.0 and not rocks
+        acts = load
+        if coupled:
+            beyond, acts = coupling.middle(params.coupling, before, beyond, params.h)
+        plant, alpha = integrator.step(constants, before, applied, acts, params.h)
+        if coupled:
+            beyond = coupling.end(params.coupling, beyond, plant, load, params.h)
+            alpha = 0.0
         theta = hall_sensor.seen(params.hall, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
         due = min(world.wiring.due, world.due)
         if theta >= world.hall.above or theta < world.hall.below or due <= state.tick:
@@ -382,9 +386,9 @@ def _sense(params: Params, world: World, on: int, quantiles: Pointer[float]) -> 
     i_a = current_sensor.measure(sensor, i_a, sensor.gain_a, sensor.offset_a, noise.first(quantiles, rng))
     i_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
     i_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
-    a = params.firmware.ampere
+    a, per = params.firmware.ampere, params.firmware.per_ampere
     count = encoder.count(params.encoder, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
-    return Sensed(count, quantised(i_a, a), quantised(i_b, a), quantised(i_c, a))
+    return Sensed(count, quantised(i_a, a, per), quantised(i_b, a, per), quantised(i_c, a, per))
 
 
 @kernel

@@ -14,15 +14,15 @@ loop takes it as it is: (1) is a mean over a sector already, and a filter's lag 
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import MILLI, AngleSource
+from sim.circle import cos_sin
 from sim.control import current_loop, dead_time, modulation, speed_loop
 from sim.control.transforms import inverse_clarke, inverse_park, park
 from sim.drive import tick_protection as protection
-from sim.drive.tick_record import quantised
+from sim.drive.tick_record import PER_UNIT, quantised
 from sim.numba_cache import kernel
 from sim.observers.sample import Sample
 from sim.plant.integrator import turn
@@ -45,6 +45,7 @@ class Params(NamedTuple):
     T_s: float
     n_p: float
     ampere: float  # A a count of telemetry
+    per_ampere: float
     a_omega: float  # gain of the filter on omega_h
 
 
@@ -144,8 +145,7 @@ def _change_over(
     `old` is of a period ago, and is now where it was, a period further.
     """
     expected = old.theta + params.T_s * old.omega
-    c = math.cos(expected - new.theta)
-    s = math.sin(expected - new.theta)
+    c, s = cos_sin(expected - new.theta)
     u_d, u_q = inverse_park(current.u_d_i, current.u_q_i, c, s)
     i_q_i = speed.i_q_i + params.speed.k_p * (new.omega - old.omega) / params.n_p
     return current_loop.State(u_d, u_q), speed._replace(i_q_i=i_q_i)
@@ -155,8 +155,8 @@ def _change_over(
 def _modulate(params: Params, left: dead_time.Left, u_dc: float, u: Two, i: Two, cos: float, sin: float) -> Output:
     """Rotor-frame voltage (V) and currents (A), turned by the angle of the period in force, to duties."""
     u_alpha, u_beta = inverse_park(u[0], u[1], cos, sin)
-    u_alpha = quantised(u_alpha, MILLI)
-    u_beta = quantised(u_beta, MILLI)
+    u_alpha = quantised(u_alpha, MILLI, PER_UNIT)
+    u_beta = quantised(u_beta, MILLI, PER_UNIT)
     ideal = modulation.duties(u_alpha, u_beta, u_dc)
     i_alpha, i_beta = inverse_park(i[0], i[1], cos, sin)
     d_a, d_b, d_c = dead_time.compensate(
@@ -193,8 +193,7 @@ def step(
     omega = angle.omega
     omega_h = state.omega_h + params.a_omega * (seen.hall.omega - state.omega_h)
     smooth = omega_h if angle.source == AVERAGE_SPEED else omega
-    cos = math.cos(theta)
-    sin = math.sin(theta)
+    cos, sin = cos_sin(theta)
     i_d, i_q = park(seen.i_alpha, seen.i_beta, cos, sin)
 
     learned = state.dead_time
@@ -220,8 +219,8 @@ def step(
         else:
             i_d_ref = command.i_d
             i_q_ref = command.i_q
-        i_d_ref = quantised(i_d_ref, params.ampere)
-        i_q_ref = quantised(i_q_ref, params.ampere)
+        i_d_ref = quantised(i_d_ref, params.ampere, params.per_ampere)
+        i_q_ref = quantised(i_q_ref, params.ampere, params.per_ampere)
         current, u_d, u_q, i_q_back = current_loop.step(
             params.current, current, i_d_ref, i_q_ref, i_d, i_q, smooth, modulation.linear_limit(sensed.u_dc)
         )
@@ -232,5 +231,5 @@ def step(
         current = current_loop.init()
         speed = speed_loop.init(0.0, 0.0)
         now = output
-    driving = Driving(mode, i_d_ref, i_q_ref, quantised(i_q, params.ampere), i_q_back, now, output)
+    driving = Driving(mode, i_d_ref, i_q_ref, quantised(i_q, params.ampere, params.per_ampere), i_q_back, now, output)
     return State(angle, omega_h, current, speed, learned, driving, protected, faults), Result(i_d, i_q, omega_ref)

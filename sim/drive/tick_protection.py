@@ -40,6 +40,8 @@ UNDERVOLTAGE, OVERVOLTAGE, HALL = int(Fault.UNDERVOLTAGE), int(Fault.OVERVOLTAGE
 FULL = 1.0 - 1e-9  # doubt that trips: parts add up to 1 but for rounding
 SHARE = 0.3  # of 2 pi psi_f_hat; exchanged wires leave 0.95 of 2 pi psi_f, edges that are 10 deg off 0.1
 TURN = 6  # sectors
+COS_OF_SECTOR = tuple(math.cos(sector * SECTOR_WIDTH) for sector in range(TURN))
+SIN_OF_SECTOR = tuple(math.sin(sector * SECTOR_WIDTH) for sector in range(TURN))
 
 
 class Params(NamedTuple):
@@ -152,11 +154,11 @@ def _doubt(params: Params, doubt: float, hall: int, edges: int) -> float:
 def _added(params: Params, state: State, sensed: Sensed) -> Turn:
     """The turn with this sample."""
     turn = state.turn
-    c = math.cos(sensed.sector * SECTOR_WIDTH)
-    s = math.sin(sensed.sector * SECTOR_WIDTH)
+    c = COS_OF_SECTOR[sensed.sector]
+    s = SIN_OF_SECTOR[sensed.sector]
     i_alpha = 0.5 * (sensed.i_alpha + state.i_alpha)
     i_beta = 0.5 * (sensed.i_beta + state.i_beta)
-    along = params.R_s + params.e_min / max(math.hypot(i_alpha, i_beta), 1e-6)
+    along = params.R_s + params.e_min / max(math.sqrt(i_alpha * i_alpha + i_beta * i_beta), 1e-6)
     l_alpha = params.L_by_T * (sensed.i_alpha - state.i_alpha)
     l_beta = params.L_by_T * (sensed.i_beta - state.i_beta)
     e_alpha = sensed.u_alpha - params.R_s * i_alpha - l_alpha
@@ -179,7 +181,7 @@ def _against(params: Params, turn: Turn) -> bool:
     by_r = turn.e_alpha * turn.r_alpha + turn.e_beta * turn.r_beta
     by_l = turn.e_alpha * turn.l_alpha + turn.e_beta * turn.l_beta
     unsure = max(by_r, -0.5 * by_r) + max(by_l, -0.5 * by_l)
-    size = math.hypot(turn.e_alpha, turn.e_beta)
+    size = math.sqrt(turn.e_alpha * turn.e_alpha + turn.e_beta * turn.e_beta)
     return size * (size - max(params.e_min * turn.n, params.left_min)) > unsure
 
 

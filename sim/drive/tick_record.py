@@ -48,9 +48,9 @@ def clipped(value: float) -> int:
 
 
 @kernel
-def quantised(value: float, scale: float) -> float:
-    """A value as telemetry carries it: a whole number of `scale`, a power of two, within an i16."""
-    return float(min(max(np.rint(value / scale), -32768.0), 32767.0)) * scale
+def quantised(value: float, scale: float, per_unit: float) -> float:
+    """A value as telemetry carries it: a whole number of `scale`, 1 / `per_unit`, a power of two, within an i16."""
+    return float(min(max(np.rint(value * per_unit), -32768.0), 32767.0)) * scale
 
 
 @kernel

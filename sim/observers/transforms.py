@@ -10,6 +10,7 @@ import math
 from sim.numba_cache import kernel
 
 TWO_PI = 2.0 * math.pi
+TURNS_PER_RAD = 1.0 / TWO_PI
 ONE_BY_SQRT3 = 1.0 / math.sqrt(3.0)
 
 
@@ -18,7 +19,7 @@ def wrap(angle: float) -> float:
     """The same angle (rad) in [-pi, pi)."""
     if -math.pi <= angle < math.pi:
         return angle
-    wrapped = angle - TWO_PI * math.floor((angle + math.pi) / TWO_PI)
+    wrapped = angle - TWO_PI * math.floor((angle + math.pi) * TURNS_PER_RAD)
     return wrapped if -math.pi <= wrapped < math.pi else -math.pi  # rounding, at the seam
 
 

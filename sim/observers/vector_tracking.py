@@ -43,6 +43,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from sim.circle import cos_sin
 from sim.numba_cache import kernel
 from sim.observers import back_emf
 from sim.observers.average_speed import HALF_SECTOR, centre
@@ -207,8 +208,7 @@ def step(
     if on == 1:
         omega = omega_h + injected_speed
         theta_mid = theta + 0.5 * params.T_s * (omega + state.omega_corr_i) - injected_angle
-        cos = math.cos(theta_mid)
-        sin = math.sin(theta_mid)
+        cos, sin = cos_sin(theta_mid)
         e_q = f_beta * cos - f_alpha * sin
         if params.literal_sgn != 0:
             direction = 1 if state.omega >= 0.0 else -1
@@ -218,8 +218,8 @@ def step(
             if omega_h * direction < 0.0:
                 omega = 0.0
         # (7), (8): sin(theta_hat - theta*) times the sign of the speed
-        size = max(math.sqrt(f_alpha * f_alpha + f_beta * f_beta), params.e_min)
-        cross = (f_alpha * cos + f_beta * sin) / size
+        per_size = 1.0 / max(math.sqrt(f_alpha * f_alpha + f_beta * f_beta), params.e_min)
+        cross = (f_alpha * cos + f_beta * sin) * per_size
         if params.load_angle_comp != 0:
             delta = clip(params.k_pc * sample.i_q_err + delta_i, DELTA_MAX)
         # (19), which is (9) with a load angle of zero; (4); (10)

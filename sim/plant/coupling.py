@@ -19,7 +19,7 @@ import math
 from typing import NamedTuple
 
 from sim.numba_cache import kernel
-from sim.plant import integrator, inverter, mechanics
+from sim.plant import integrator, mechanics
 
 
 class Params(NamedTuple):
@@ -118,27 +118,24 @@ def _braked(omega: float, tau: float, brake: float, J: float, h: float) -> float
 
 
 @kernel
-def step(
-    plant: integrator.Params,
-    params: Params,
-    motor: integrator.State,
-    state: State,
-    applied: inverter.Applied,
-    load: mechanics.Load,
-    h: float,
-) -> tuple[integrator.State, State]:
-    """Both sides after `h` seconds."""
-    middle = state.ahead + 0.5 * h * (motor.omega_m - state.omega)
-    tau = torque(params, middle, motor.omega_m - state.omega)
-    after, _ = integrator.step(plant, motor, applied, mechanics.Load(mechanics.COUPLED, tau, 0.0), h)
+def middle(params: Params, motor: integrator.State, state: State, h: float) -> tuple[State, mechanics.Load]:
+    """The load's side half way through `h` seconds, and what acts on the motor's over all of them."""
+    ahead = state.ahead + 0.5 * h * (motor.omega_m - state.omega)
+    tau = torque(params, ahead, motor.omega_m - state.omega)
+    return state._replace(ahead=ahead, tau=tau), mechanics.Load(mechanics.COUPLED, tau, 0.0)
+
+
+@kernel
+def end(params: Params, state: State, motor: integrator.State, load: mechanics.Load, h: float) -> State:
+    """The load's side at the end, from the `middle` and the motor's side at the end."""
     brake = load.tau if load.mode == mechanics.TORQUE else 0.0
     brake += (state.torque - brake) * math.exp(-params.bandwidth * h)
     reference = state.omega
     integral = 0.0
     if load.mode == mechanics.SPEED:
         machine, reference, integral = _forced(params, state, load.omega_m, h)
-        omega = state.omega + h * (tau - machine) / params.J_load
+        omega = state.omega + h * (state.tau - machine) / params.J_load
     else:
-        omega = _braked(state.omega, tau, brake, params.J_load, h)
-    ahead = middle + 0.5 * h * (after.omega_m - omega)
-    return after, State(omega, ahead, tau, brake, reference, integral)
+        omega = _braked(state.omega, state.tau, brake, params.J_load, h)
+    ahead = state.ahead + 0.5 * h * (motor.omega_m - omega)
+    return State(omega, ahead, state.tau, brake, reference, integral)

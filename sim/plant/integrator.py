@@ -16,7 +16,8 @@ from sim.numba_cache import kernel
 from sim.plant import dead_time, inverter, mechanics, pmsm
 
 C_3, C_4, C_5, C_6, C_7, C_8, C_9, C_10 = (1.0 / math.factorial(k) for k in range(3, 11))
-ONE_SIXTH, ONE_TWELFTH, ONE_THIRTIETH, ONE_SIXTIETH = 1.0 / 6.0, 1.0 / 12.0, 1.0 / 30.0, 1.0 / 60.0
+ONE_SIXTH, ONE_TWELFTH, ONE_TWENTY_FOURTH = 1.0 / 6.0, 1.0 / 12.0, 1.0 / 24.0
+ONE_SIXTIETH, ONE_BY_120 = 1.0 / 60.0, 1.0 / 120.0
 SMALL = 0.3  # rad up to which a rotation's series is good to 5e-14
 TINY = 0.06  # rad up to which a shorter one is good to 5e-15
 ROUNDS = 3  # of the iteration for the inverter's loss
@@ -46,6 +47,11 @@ def make_decay(motor: pmsm.Params, h: float) -> Decay:
     )
 
 
+def decays(motor: pmsm.Params, h: float) -> tuple[Decay, Decay]:
+    """The constants of whole and of half steps of `h` seconds."""
+    return make_decay(motor, h), make_decay(motor, 0.5 * h)
+
+
 class Params(NamedTuple):
     """Constants of motor, inverter and shaft."""
 
@@ -53,6 +59,7 @@ class Params(NamedTuple):
     inverter: inverter.Params
     shaft: mechanics.Params
     decay: Decay  # of whole steps
+    half_decay: Decay  # of half steps
 
 
 class State(NamedTuple):
@@ -64,6 +71,7 @@ class State(NamedTuple):
     theta_e: float  # electrical rad, unwrapped
     cos: float  # of theta_e
     sin: float
+    late: float = 0.0  # rad, by which `theta_e` is behind: some nanoradians, made up for in the next step
 
 
 @kernel
@@ -72,7 +80,7 @@ def init(params: Params, theta_e: float) -> State:
     cos = math.cos(theta_e)
     sin = math.sin(theta_e)
     psi_alpha, psi_beta = pmsm.flux(params.motor, 0.0, 0.0, cos, sin)
-    return State(psi_alpha, psi_beta, 0.0, theta_e, cos, sin)
+    return State(psi_alpha, psi_beta, 0.0, theta_e, cos, sin, 0.0)
 
 
 @kernel
@@ -130,6 +138,8 @@ def _decay(params: Params, h: float) -> Decay:
     """The same for a step of any length: by series, for at most the step that `params` is made for."""
     if h == params.decay.h:
         return params.decay
+    if h == params.half_decay.h:
+        return params.half_decay
     x = params.motor.R_s * params.motor.g_mean * h
     y = 0.5 * x
     half = math.exp(-y)
@@ -165,12 +175,98 @@ def _torque(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, s
 
 @kernel
 def _driven(params: Params, state: State, applied: inverter.Applied, push: mechanics.Push, h: float) -> State:
-    """One step with the outputs on.
+    """One step with the outputs on, of a motor with L_d = L_q.
 
-    The winding's flux answers a constant voltage exactly. What else acts on it is slow: the magnet as it turns, and
-    what L_d and L_q differ by, both by Simpson's rule; and the inverter's loss, in the mean over the step as the
-    currents go from its begin to its end, which is found by iteration where a phase comes near zero. Torque and speed
-    go by Simpson's rule too.
+    The winding's flux answers exactly to a constant voltage and to a magnet that turns evenly: by K exp(j theta) with
+    K = a psi_f / (a + j omega), a = R_s / L. By how much the magnet does not is in it to first order. The inverter's
+    loss is in it by its mean as the currents go from the step's begin to its end, which is found by iteration where a
+    phase comes near zero. Speed and angle follow from the torque and its first two derivatives at both ends. What the
+    angle still lacks then is made up for in the next step, so that nothing in this one waits for it.
+    """
+    motor = params.motor
+    n_p = motor.n_p
+    b = params.shaft.b
+    gain = push.gain
+    decay = _decay(params, h)
+    a = motor.R_s * motor.g_mean
+    torque_by = motor.k_tau * motor.g_mean * motor.psi_f  # N m by V s across the magnet
+
+    omega_m = state.omega_m
+    omega_e = n_p * omega_m
+    cos0, sin0 = state.cos, state.sin
+    i0_alpha, i0_beta = pmsm.even_currents(motor, state.psi_alpha, state.psi_beta, cos0, sin0)
+    loss_alpha, loss_beta = inverter.loss(params.inverter, applied, i0_alpha, i0_beta)
+    u_alpha = applied.u_alpha - loss_alpha
+    u_beta = applied.u_beta - loss_beta
+    across0 = cos0 * state.psi_beta - sin0 * state.psi_alpha
+    alpha0 = gain * (torque_by * across0 - b * omega_m - push.tau_dry) + push.alpha
+    rate_alpha = u_alpha - motor.R_s * i0_alpha
+    rate_beta = u_beta - motor.R_s * i0_beta
+    along0 = sin0 * state.psi_beta + cos0 * state.psi_alpha
+    along_rate = cos0 * rate_alpha + sin0 * rate_beta
+    across_rate = cos0 * rate_beta - sin0 * rate_alpha
+    slope0 = gain * (torque_by * (across_rate - omega_e * along0) - b * alpha0)
+    curve0 = omega_e * (2.0 * along_rate + omega_e * across0) + a * (across_rate - motor.psi_f * omega_e)
+    curve0 = -gain * torque_by * (curve0 + n_p * alpha0 * along0)
+
+    # the end: the angle is that of an even turn, and `more`
+    mean = omega_e + 0.5 * n_p * h * alpha0
+    ahead = h * mean
+    c, s = rotation(ahead)
+    cos = cos0 * c - sin0 * s
+    sin = sin0 * c + cos0 * s
+    more = n_p * h * h * h * (ONE_SIXTH * slope0 + ONE_TWENTY_FOURTH * h * curve0) + state.late
+    cos, sin = _nudge(cos, sin, more)
+    share = a * motor.psi_f / (a * a + mean * mean)
+    K_re = share * a
+    K_im = share * mean  # of the conjugate
+    bend = ONE_TWENTY_FOURTH * a * motor.psi_f * n_p * h * h * h * alpha0
+    left_im = K_im - bend
+    right_re = K_re - more * K_im
+    right_im = K_im + bend + more * (K_re - 0.25 * h * a * motor.psi_f)
+    free_alpha = decay.whole * (state.psi_alpha - K_re * cos0 - left_im * sin0) + (right_re * cos + right_im * sin)
+    free_beta = decay.whole * (state.psi_beta - K_re * sin0 + left_im * cos0) + (right_re * sin - right_im * cos)
+    psi_alpha = free_alpha + decay.gain * u_alpha
+    psi_beta = free_beta + decay.gain * u_beta
+    i_alpha, i_beta = pmsm.even_currents(motor, psi_alpha, psi_beta, cos, sin)
+    omega_1 = omega_e + n_p * h * (alpha0 + 0.5 * h * slope0)
+    rate_alpha = u_alpha - motor.R_s * i_alpha
+    rate_beta = u_beta - motor.R_s * i_beta
+    if inverter.loses(applied) and not inverter.settled(params.inverter, i0_alpha, i0_beta, i_alpha, i_beta):
+        eighth = 0.125 * h * motor.g_mean
+        first_alpha = u_alpha - motor.R_s * i0_alpha + motor.psi_f * (omega_e * sin0 - omega_1 * sin)
+        first_beta = u_beta - motor.R_s * i0_beta - motor.psi_f * (omega_e * cos0 - omega_1 * cos)
+        for _ in range(ROUNDS):
+            bow_alpha = eighth * (first_alpha - rate_alpha)  # of the cubic through values and slopes
+            bow_beta = eighth * (first_beta - rate_beta)
+            mean_alpha, mean_beta = inverter.mean_loss(
+                params.inverter, applied, i0_alpha, i0_beta, i_alpha, i_beta, bow_alpha, bow_beta
+            )
+            end_alpha, end_beta = inverter.loss(params.inverter, applied, i_alpha, i_beta)
+            psi_alpha = free_alpha + decay.gain * (applied.u_alpha - mean_alpha) - decay.skew * (end_alpha - loss_alpha)
+            psi_beta = free_beta + decay.gain * (applied.u_beta - mean_beta) - decay.skew * (end_beta - loss_beta)
+            i_alpha, i_beta = pmsm.even_currents(motor, psi_alpha, psi_beta, cos, sin)
+            rate_alpha = applied.u_alpha - end_alpha - motor.R_s * i_alpha
+            rate_beta = applied.u_beta - end_beta - motor.R_s * i_beta
+    along = sin * psi_beta + cos * psi_alpha
+    across = cos * psi_beta - sin * psi_alpha
+    alpha1 = gain * (torque_by * across - b * (omega_m + h * (alpha0 + 0.5 * h * slope0)) - push.tau_dry) + push.alpha
+    along_rate = cos * rate_alpha + sin * rate_beta
+    across_rate = cos * rate_beta - sin * rate_alpha
+    slope1 = gain * (torque_by * (across_rate - omega_1 * along) - b * alpha1)
+    curve1 = omega_1 * (2.0 * along_rate + omega_1 * across) + a * (across_rate - motor.psi_f * omega_1)
+    curve1 = -gain * torque_by * (curve1 + n_p * alpha1 * along)
+    late = ONE_SIXTIETH * (7.0 * slope0 + 2.0 * slope1) + ONE_TWENTY_FOURTH * h * curve0
+    late = n_p * h * h * (0.15 * (alpha1 - alpha0) - h * late)
+    faster = 0.5 * (alpha0 + alpha1) + h * (0.1 * (slope0 - slope1) + ONE_BY_120 * h * (curve0 + curve1))
+    return State(psi_alpha, psi_beta, omega_m + h * faster, state.theta_e + (ahead + more), cos, sin, late)
+
+
+@kernel
+def _salient_driven(params: Params, state: State, applied: inverter.Applied, push: mechanics.Push, h: float) -> State:
+    """`_driven` where L_d and L_q differ.
+
+    What they differ by goes by Simpson's rule, and so do the magnet as it turns, torque and speed.
     """
     motor = params.motor
     n_p = motor.n_p
@@ -209,22 +305,20 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     faster = half * n_p * alpha0
     psi_alpha += share * (x_cos + 2.0 * cos + tilt * (a * x_cos - omega_e * x_sin + faster * sin))
     psi_beta += share * (x_sin + 2.0 * sin + tilt * (a * x_sin + omega_e * x_cos - faster * cos))
-    bend0_alpha = bend0_beta = bend_alpha = bend_beta = 0.0
-    if motor.g_diff != 0.0:
-        bend0_alpha, bend0_beta = _salient(motor, state.psi_alpha, state.psi_beta, cos0, sin0)
-        bend_alpha, bend_beta = bend0_alpha, bend0_beta
-        for _ in range(2):
-            mean_alpha = decay.half_gain * 0.5 * (bend0_alpha + bend_alpha)
-            mean_beta = decay.half_gain * 0.5 * (bend0_beta + bend_beta)
-            bend_alpha, bend_beta = _salient(motor, psi_alpha - mean_alpha, psi_beta - mean_beta, cos, sin)
-        psi_alpha -= decay.half_gain * 0.5 * (bend0_alpha + bend_alpha)
-        psi_beta -= decay.half_gain * 0.5 * (bend0_beta + bend_beta)
+    bend0_alpha, bend0_beta = _salient(motor, state.psi_alpha, state.psi_beta, cos0, sin0)
+    bend_alpha, bend_beta = bend0_alpha, bend0_beta
+    for _ in range(2):
+        mean_alpha = decay.half_gain * 0.5 * (bend0_alpha + bend_alpha)
+        mean_beta = decay.half_gain * 0.5 * (bend0_beta + bend_beta)
+        bend_alpha, bend_beta = _salient(motor, psi_alpha - mean_alpha, psi_beta - mean_beta, cos, sin)
+    psi_alpha -= decay.half_gain * 0.5 * (bend0_alpha + bend_alpha)
+    psi_beta -= decay.half_gain * 0.5 * (bend0_beta + bend_beta)
     mid_alpha, mid_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
     tau = _torque(motor, psi_alpha, psi_beta, cos, sin)
     alpha = gain * (tau - b * (omega_m + half * (alpha0 + 0.5 * half * slope)) - push.tau_dry) + push.alpha
 
     # the end, at the angle by the slope: what it lacks is put right when all is known, so that nothing waits for it
-    ahead = n_p * h * h * (0.5 * alpha0 + ONE_SIXTH * h * slope)
+    ahead = n_p * h * h * (0.5 * alpha0 + ONE_SIXTH * h * slope) + state.late
     c, s = _nudge(c, s, ahead - 2.0 * early)
     magnet *= h * ONE_SIXTH
     free_alpha = decay.whole * (state.psi_alpha + magnet * cos0) + 4.0 * magnet * decay.half * cos
@@ -234,17 +328,16 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     free_beta += magnet * sin
     psi_alpha = free_alpha + decay.gain * u_alpha
     psi_beta = free_beta + decay.gain * u_beta
-    if motor.g_diff != 0.0:
-        end_alpha = psi_alpha - decay.gain * bend_alpha
-        end_beta = psi_beta - decay.gain * bend_beta
-        bend1_alpha, bend1_beta = _salient(motor, end_alpha, end_beta, cos, sin)
-        sixth = h * ONE_SIXTH
-        bend_alpha = sixth * (decay.whole * bend0_alpha + 4.0 * decay.half * bend_alpha + bend1_alpha)
-        bend_beta = sixth * (decay.whole * bend0_beta + 4.0 * decay.half * bend_beta + bend1_beta)
-        free_alpha -= bend_alpha
-        free_beta -= bend_beta
-        psi_alpha -= bend_alpha
-        psi_beta -= bend_beta
+    end_alpha = psi_alpha - decay.gain * bend_alpha
+    end_beta = psi_beta - decay.gain * bend_beta
+    bend1_alpha, bend1_beta = _salient(motor, end_alpha, end_beta, cos, sin)
+    sixth = h * ONE_SIXTH
+    bend_alpha = sixth * (decay.whole * bend0_alpha + 4.0 * decay.half * bend_alpha + bend1_alpha)
+    bend_beta = sixth * (decay.whole * bend0_beta + 4.0 * decay.half * bend_beta + bend1_beta)
+    free_alpha -= bend_alpha
+    free_beta -= bend_beta
+    psi_alpha -= bend_alpha
+    psi_beta -= bend_beta
     i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
     if inverter.loses(applied) and not inverter.settled(params.inverter, i0_alpha, i0_beta, i_alpha, i_beta):
         bent = 0.125 * h * motor.g_mean
@@ -268,16 +361,9 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     tau1 = _torque(motor, psi_alpha, psi_beta, cos, sin) - motor.k_tau * motor.g_mean * motor.psi_f * along * late
     alpha1 = gain * (tau1 - b * (omega_m + h * alpha) - push.tau_dry) + push.alpha
     faster = ONE_SIXTH * (alpha0 + 4.0 * alpha + alpha1)
-    if motor.g_diff == 0.0:  # the slopes are known: Simpson's rule with them is better by two orders
-        omega_e += n_p * h * alpha
-        rate_alpha += motor.R_s * (i0_alpha - i_alpha)
-        rate_beta += motor.R_s * (i0_beta - i_beta)
-        end = cos * rate_beta - sin * rate_alpha - omega_e * along
-        end = gain * (motor.k_tau * motor.g_mean * motor.psi_f * end - b * alpha1)
-        faster = (7.0 * (alpha0 + alpha1) + 16.0 * alpha) * ONE_THIRTIETH + h * ONE_SIXTIETH * (slope - end)
     cos, sin = _nudge(cos, sin, late)
     theta_e = state.theta_e + (h * n_p * state.omega_m + ahead + late)
-    return State(psi_alpha, psi_beta, omega_m + h * faster, theta_e, cos, sin)
+    return State(psi_alpha, psi_beta, omega_m + h * faster, theta_e, cos, sin, 0.0)
 
 
 @kernel
@@ -317,7 +403,7 @@ def _uneven(params: Params, state: State, applied: inverter.Applied, push: mecha
     magnet = pmsm.magnet(params.motor, cos, sin)
     a2, b2, w2 = _rates(params, applied, push, magnet, psi_alpha + half * a1, psi_beta + half * b1, omega_m + half * w1)
     a3, b3, w3 = _rates(params, applied, push, magnet, psi_alpha + half * a2, psi_beta + half * b2, omega_m + half * w2)
-    angle = n_p * h * (omega_m + h * ONE_SIXTH * (w1 + w2 + w3))
+    angle = n_p * h * (omega_m + h * ONE_SIXTH * (w1 + w2 + w3)) + state.late
     cos, sin = turn(state.cos, state.sin, angle)
     magnet = pmsm.magnet(params.motor, cos, sin)
     a4, b4, w4 = _rates(params, applied, push, magnet, psi_alpha + h * a3, psi_beta + h * b3, omega_m + h * w3)
@@ -329,6 +415,7 @@ def _uneven(params: Params, state: State, applied: inverter.Applied, push: mecha
         state.theta_e + angle,
         cos,
         sin,
+        0.0,
     )
 
 
@@ -338,19 +425,19 @@ def _coasting(params: Params, state: State, push: mechanics.Push, h: float) -> S
     motor = params.motor
     i_alpha, i_beta, tau = pmsm.currents_and_torque(motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
     left_alpha, left_beta = inverter.freewheel(params.inverter, motor, i_alpha, i_beta, h)
-    size = math.hypot(i_alpha, i_beta)
+    size = math.sqrt(i_alpha * i_alpha + i_beta * i_beta)
     if size > 0.0:
-        tau *= 0.5 * (1.0 + math.hypot(left_alpha, left_beta) / size)
+        tau *= 0.5 * (1.0 + math.sqrt(left_alpha * left_alpha + left_beta * left_beta) / size)
     if motor.uneven == 1:
         tau += pmsm.magnet(motor, state.cos, state.sin).cogging
     # constant torque and viscous friction: the exact solution's series in x = b h / J
     alpha = push.gain * (tau - params.shaft.b * state.omega_m - push.tau_dry) + push.alpha
     x = push.gain * params.shaft.b * h
     omega_m = state.omega_m + alpha * h * (1.0 - x * (0.5 - x / 6.0))
-    angle = motor.n_p * h * (state.omega_m + alpha * h * (0.5 - x * (1.0 / 6.0 - x / 24.0)))
+    angle = motor.n_p * h * (state.omega_m + alpha * h * (0.5 - x * (1.0 / 6.0 - x / 24.0))) + state.late
     cos, sin = turn(state.cos, state.sin, angle)
     psi_alpha, psi_beta = pmsm.flux(motor, left_alpha, left_beta, cos, sin)
-    return State(psi_alpha, psi_beta, omega_m, state.theta_e + angle, cos, sin)
+    return State(psi_alpha, psi_beta, omega_m, state.theta_e + angle, cos, sin, 0.0)
 
 
 @kernel
@@ -359,6 +446,8 @@ def _step(params: Params, state: State, applied: inverter.Applied, push: mechani
         return _coasting(params, state, push, h)
     if params.motor.uneven == 1:
         return _uneven(params, state, applied, push, h)
+    if params.motor.g_diff != 0.0:
+        return _salient_driven(params, state, applied, push, h)
     return _driven(params, state, applied, push, h)
 
 
@@ -374,27 +463,13 @@ def torque(params: Params, state: State) -> float:
 
 
 @kernel
-def _bends(params: Params, state: State, applied: inverter.Applied, h: float) -> bool:
-    """Whether a step is better taken as two: a phase that loses voltage is near zero, or L_d and L_q differ."""
-    if params.motor.uneven == 1:
-        return False
-    if params.motor.g_diff != 0.0:
-        return True
-    if not inverter.loses(applied):
-        return False
-    i_alpha, i_beta = pmsm.currents(params.motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
-    turned = params.motor.n_p * abs(state.omega_m) * h
-    return inverter.near_zero(params.inverter, i_alpha, i_beta, turned)
-
-
-@kernel
 def step(
     params: Params, state: State, applied: inverter.Applied, load: mechanics.Load, h: float
 ) -> tuple[State, float]:
     """The state after `h` seconds, and the forced acceleration (rad/s2) of the load machine, 0 where it forces none."""
     left = h
     alpha = 0.0
-    part = 0.5 * h if applied.on and _bends(params, state, applied, h) else h
+    part = 0.5 * h if applied.on and params.motor.g_diff != 0.0 and params.motor.uneven == 0 else h
     cut = False
     for _ in range(10):  # zero speed is passed once or twice in a step; more often never
         part = min(part, left)
@@ -409,7 +484,7 @@ def step(
             continue
         omega_m = 0.0 if turned or cut else after.omega_m
         cut = False
-        state = State(after.psi_alpha, after.psi_beta, omega_m, after.theta_e, after.cos, after.sin)
+        state = after._replace(omega_m=omega_m)
         left -= part
         if left <= 1e-6 * h:
             break

@@ -132,14 +132,6 @@ def loss(params: Params, applied: Applied, i_alpha: float, i_beta: float) -> tup
 
 
 @kernel
-def near_zero(params: Params, i_alpha: float, i_beta: float, turned: float) -> bool:
-    """Whether a phase is near zero at these currents (A), or will be when they have turned by an angle (rad)."""
-    a, b, c = pmsm.phases(params.g_smooth * i_alpha, params.g_smooth * i_beta)
-    a, b, c = abs(a), abs(b), abs(c)
-    return min(a, b, c) < CLEAR + turned * max(a, b, c)
-
-
-@kernel
 def settled(params: Params, i0_alpha: float, i0_beta: float, i1_alpha: float, i1_beta: float) -> bool:
     """Whether `loss` is the same on the way from some currents (A) to others: no phase comes near zero."""
     g = params.g_smooth

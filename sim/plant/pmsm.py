@@ -158,6 +158,12 @@ def uneven_torque(
 
 
 @kernel
+def even_currents(params: Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> tuple[float, float]:
+    """i_alpha, i_beta (A) of a motor with L_d = L_q and a sinusoidal back-EMF."""
+    return params.g_mean * (psi_alpha - params.psi_f * cos), params.g_mean * (psi_beta - params.psi_f * sin)
+
+
+@kernel
 def currents(params: Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> tuple[float, float]:
     """i_alpha, i_beta (A) from the flux linkage (V s) and the rotor's angle."""
     if params.uneven == 1:

@@ -1,8 +1,7 @@
 """Where the simulated drive can be plugged in: a pty, which looks like a serial port, or a TCP port.
 
-A port never blocks: it gives what has arrived and takes what fits. It knows no frames. There is no waiting
-for a port to take more: a full pty says that it is writable and is not, so the server tries again at its next
-step.
+A port never blocks: it gives what has arrived and takes what fits. It knows no frames. A full pty may say once that it
+is writable; after a second write it says so only when it has room.
 """
 
 from __future__ import annotations
@@ -38,6 +37,9 @@ class Port(Protocol):
 
     def read_fds(self) -> list[int]:
         """Descriptors whose readiness means that `read` has something to do."""
+
+    def write_fds(self) -> list[int]:
+        """Descriptors whose readiness means that `write` takes something again."""
 
     def read(self) -> bytes:
         """What has arrived; b"" when nothing has."""
@@ -120,6 +122,8 @@ class PtyPort:
     def read_fds(self) -> list[int]:
         """See `Port.read_fds`."""
         return [self._master] if self._master >= 0 else []
+
+    write_fds = read_fds
 
     def read(self) -> bytes:
         """See `Port.read`."""
@@ -228,6 +232,10 @@ class TcpPort:
     def read_fds(self) -> list[int]:
         """See `Port.read_fds`."""
         return [s.fileno() for s in (self._listener, self._client) if s is not None]
+
+    def write_fds(self) -> list[int]:
+        """See `Port.write_fds`."""
+        return [] if self._client is None else [self._client.fileno()]
 
     def read(self) -> bytes:
         """See `Port.read`."""

@@ -60,7 +60,7 @@ class ByteNetwork:
     def data_to_send(self, limit: int | None = None) -> bytes:
         """See `CanNetwork`."""
         data = self._link.data_to_send(limit)
-        self._delimiters += data.count(0)
+        self._delimiters += len(data) - int(np.count_nonzero(np.frombuffer(data, np.uint8)))
         return data
 
     def wire(self) -> HostWire:

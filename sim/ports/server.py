@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     from sim.ports.device import SimulatedDevice
     from sim.ports.networks import Network
 
-STEP = 0.01  # s between portions
-RETRY = 0.001  # s until a port that took only a part is tried again: a pty takes 4 kB, and every channel is 2 MB/s
+STEP = 0.0125  # s between portions: a pty holds what comes meanwhile of the default stream
 LATE = 0.05  # s of delay that is worth a word
 LATE_PERIOD = 5.0  # s between such words
 WARNING = 4  # level of a LOG
@@ -165,7 +164,7 @@ class Server:
             if due > 0:
                 self._receive()
         self._receive()
-        self._send(now)
+        self.send(now)
 
     def _look_for_delay(self, now: float) -> None:
         behind = self.schedule.behind(now)
@@ -180,7 +179,8 @@ class Server:
         if data:
             self.device.receive(data)
 
-    def _send(self, now: float) -> None:
+    def send(self, now: float) -> None:
+        """Send what the port takes."""
         free = _WRITE if self._pacer is None else self._pacer.allowance(now)
         self.full = False
         while free > 0:
@@ -252,9 +252,13 @@ def _run(server: Server, received: set[int], tell: Say) -> None:
     next_step = time.monotonic()
     while not received.intersection(_STOPS):
         left = max(0.0, next_step - time.monotonic())
-        _wait(server.port.read_fds(), min(left, RETRY) if server.full else left)
+        rooms = server.port.write_fds() if server.full else []
+        arrived, room = _waited(server.port.read_fds(), rooms, left)
         now = time.monotonic()
-        server.step(now)
+        if room and not arrived and now < next_step:
+            server.send(now)
+        else:
+            server.step(now)
         if now >= next_step:  # else bytes from the host woke it
             next_step = max(next_step + STEP, now)
         if received.intersection(_PULL):
@@ -267,12 +271,13 @@ def _run(server: Server, received: set[int], tell: Say) -> None:
             tell(f"target: {server.port.target}")
 
 
-def _wait(descriptors: list[int], timeout: float) -> None:
-    """Until one can be read; Windows' `select` takes sockets, and not none."""
-    if descriptors:
-        select.select(descriptors, [], [], timeout)
-    else:
+def _waited(readable: list[int], writable: list[int], timeout: float) -> tuple[bool, bool]:
+    """Until one can be read or written: whether one can; Windows' `select` takes sockets, and not none."""
+    if not readable and not writable:
         time.sleep(timeout)
+        return False, False
+    read, written, _ = select.select(readable, writable, [], timeout)
+    return bool(read), bool(written)
 
 
 def _stop_at_once(port: Port, tell: Say) -> None:

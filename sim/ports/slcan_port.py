@@ -101,6 +101,10 @@ class SlcanPort:
         """See `Port.read_fds`."""
         return self._pty.read_fds()
 
+    def write_fds(self) -> list[int]:
+        """See `Port.write_fds`."""
+        return self._pty.write_fds()
+
     def read(self) -> bytes:
         """Obey the host's lines that have come; return the frames among them that go to the bus."""
         sent: list[NDArray[np.void]] = []

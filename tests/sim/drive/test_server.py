@@ -26,7 +26,6 @@ from sim.ports.server import (
     LATE,
     LATE_PERIOD,
     MAX_BEHIND,
-    RETRY,
     STEP,
     Schedule,
     ServeOptions,
@@ -50,7 +49,7 @@ class Bench:
         self.hosts: list[SmallHost] = []
 
     def step(self) -> None:
-        self.now += RETRY if self.server.full else STEP
+        self.now += 0.001 if self.server.full else STEP  # when the host has made room
         self.server.step(self.now)
 
     def host(self, target: str | None = None) -> SmallHost:

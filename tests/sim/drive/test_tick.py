@@ -44,9 +44,9 @@ def test_raw_values_round_half_to_even_wrap_and_saturate():
     assert [angle(x) for x in (0.0, math.pi / 2, math.pi, -math.pi, 3 * math.pi, 1e6 * 2 * math.pi)] == [
         0, 16384, -32768, -32768, -32768, 0,
     ]  # fmt: skip
-    assert quantised(1.0004, 1 / 1024) == 1.0
-    assert quantised(99.0, 1 / 1024) == 32767 / 1024
-    assert quantised(99.003, 1 / 256) == 99.00390625
+    assert quantised(1.0004, 1 / 1024, 1024.0) == 1.0
+    assert quantised(99.0, 1 / 1024, 1024.0) == 32767 / 1024
+    assert quantised(99.003, 1 / 256, 256.0) == 99.00390625
     assert edge_codes(0b001, 0b011) == 0b001 | 0b011 << 3
     for old, new in ((0b001, 0b010), (0b001, 0b111), (0b101, 0b000)):
         assert edge_codes(old, new) == old | new << 3 | 0x40

@@ -22,7 +22,9 @@ def step_through(n, *, load, omega=(0.0, 0.0), ahead=0.0, damping=D, backlash_de
     beyond = coupling.init()._replace(omega=omega[1], ahead=ahead)
     found = []
     for _ in range(n):
-        motor, beyond = coupling.step(plant, params, motor, beyond, inverter.off(), load, T_S)
+        beyond, acts = coupling.middle(params, motor, beyond, T_S)
+        motor, _ = integrator.step(plant, motor, inverter.off(), acts, T_S)
+        beyond = coupling.end(params, beyond, motor, load, T_S)
         found.append((motor.omega_m, beyond.omega, beyond.ahead))
     return np.array(found)
 

@@ -70,9 +70,12 @@ def make(L_q=None, emf=(0.0,) * 4, cogging=(0.0, 0.0), i_sat=0.0, **changes):
         motor,
         inverter.make_params(24.0, 0.0, 0.0, 0.3, 0.8, T_S),
         mechanics.make_params(**shaft, alpha_m_max=1000.0),
-        integrator.make_decay(motor, T_S),
+        *integrator.decays(motor, T_S),
     )
     return params, Reference(m, shaft, emf, cogging, i_sat)
+
+
+LOST = dict.fromkeys(("e_a", "e_b", "e_c"), 0.4)
 
 
 def state_at(params, theta_e, omega_m, i_d=0.0, i_q=0.0):
@@ -123,6 +126,41 @@ def test_voltage_steps_with_a_load_agree_with_solve_ivp(substeps, L_q):
     assert torque < 1e-7
     assert abs(state.omega_m - x[2]) < 1e-5
     assert (state.cos, state.sin) == pytest.approx((math.cos(state.theta_e), math.sin(state.theta_e)), abs=1e-12)
+
+
+class Losing(Reference):
+    """The same with an inverter that takes `e` V of a leg against its current, in proportion below `i_smooth` A."""
+
+    e, i_smooth = 0.4, 0.3
+
+    def rates(self, t, x, u):
+        psi, axes = x[0] + 1j * x[1], np.exp(2j * np.pi / 3 * np.arange(3))
+        i = self.current(psi, x[3]) * np.exp(1j * x[3])
+        lost = self.e * np.clip((i * np.conj(axes)).real / self.i_smooth, -1.0, 1.0)
+        return super().rates(t, x, u - 2 / 3 * np.dot(lost, axes))
+
+
+@pytest.mark.parametrize(
+    ("omega_m", "i_q", "most"), [(15.0, 0.5, 3e-4), (52.0, 4.0, 6e-4), (150.0, 4.0, 1e-3), (150.0, 0.5, 1e-3)]
+)
+def test_an_inverters_loss_near_zero_current_agrees_with_solve_ivp(omega_m, i_q, most):
+    """Six times a turn a phase passes zero within a step or some."""
+    params, even = make()
+    reference = Losing(even.m, even.shaft, (0.0,) * 4, (0.0, 0.0), 0.0)
+    params = params._replace(inverter=params.inverter._replace(g_smooth=1.0 / reference.i_smooth))
+    state = state_at(params, 0.7, omega_m, i_q=i_q)
+    x = np.array([state.psi_alpha, state.psi_beta, omega_m, 0.7])
+    worst = 0.0
+    for _ in range(round(2.0 * math.pi / 6.0 / (6.0 * omega_m * T_S))):
+        middle = x[3] + 3.0 * x[2] * T_S
+        u = (0.158 * 1j * i_q + 6j * x[2] * (6.55e-3 + 176e-6j * i_q) + 0.4j) * np.exp(1j * middle)
+        state, _ = integrator.step(params, state, applied(u.real, u.imag)._replace(**LOST), NO_LOAD, T_S)
+        x = reference.solve(x, T_S, u, max_step=T_S / 8).y[:, -1]
+        found = complex(*pmsm.currents(params.motor, state.psi_alpha, state.psi_beta, state.cos, state.sin))
+        worst = max(worst, abs(found - reference.current(complex(*x[:2]), x[3]) * np.exp(1j * x[3])))
+    assert worst < most
+    assert abs(state.omega_m - x[2]) < 1e-4 * omega_m
+    assert abs(state.theta_e - x[3]) < 1e-4
 
 
 UNEVEN = product((20.0, 150.0, 300.0), (176e-6, 300e-6), (0.0, 8.0))
