@@ -321,10 +321,11 @@ def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
     dtype = np.dtype(channel.raw.dtype)
     if channel.raw == RawType.F32:
         return ((values - channel.offset) / channel.scale).astype(dtype)
-    counts = np.rint((values - channel.offset) * (1.0 / channel.scale))
+    counts = (values - channel.offset if channel.offset else values) * (1.0 / channel.scale)
+    np.rint(counts, out=counts)
     if not channel.flags & Flag.WRAPS:
         info = np.iinfo(dtype)
-        counts = np.clip(counts, info.min, info.max)
+        np.clip(counts, info.min, info.max, out=counts)
     return counts.astype(np.int64).astype(dtype)
 
 

@@ -21,8 +21,15 @@ from protocol.streams import SampleChunk
 def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     """`angle` in rad, any shape, wrapped to [-pi, pi); what is not finite comes out as NaN."""
     with np.errstate(invalid="ignore"):
-        wrapped: NDArray[np.float64] = (angle + math.pi) % (2 * math.pi) - math.pi
-    return wrapped
+        turned: NDArray[np.float64] = angle + math.pi
+        if np.ndim(turned) and turned.size and -math.tau <= (lo := turned.min()) <= (hi := turned.max()) < 2 * math.tau:
+            if hi >= math.tau:  # to the last bit what % makes of these, and a tenth of its time
+                np.subtract(turned, math.tau, out=turned, where=turned >= math.tau)
+            if lo < 0.0:
+                np.add(turned, math.tau, out=turned, where=turned < 0.0)
+        else:
+            turned = turned % math.tau
+    return turned - math.pi
 
 
 def wrapped(angle: float) -> float:
