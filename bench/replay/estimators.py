@@ -119,6 +119,7 @@ class _Kernels:
         }
         self._current_error = CurrentError(parameters, stream.pwm_hz)
         self._edges: Records = np.empty(0, EDGE)
+        self._measured: Records = np.empty(0, MEASURED)  # what is not fed stays 0
         self.seconds = dict.fromkeys(self._observers, 0.0)
         self.front_seconds = 0.0
         self.steps = 0
@@ -136,7 +137,9 @@ class _Kernels:
 
     def run(self, chunk: SampleChunk, reset: Flags) -> dict[str, Records]:
         """The observers' estimates at the samples of `chunk` by name; `reset` (n,): where they are initialised."""
-        measured = np.zeros(len(chunk), MEASURED)
+        if len(self._measured) < len(chunk):
+            self._measured = np.zeros(len(chunk), MEASURED)
+        measured = self._measured[: len(chunk)]
         measured["tick"], measured["hall"] = chunk.tick, chunk.raw["hall"]
         for name in self._fed:
             measured[name] = chunk.physical(name)
@@ -325,7 +328,7 @@ def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
     np.rint(counts, out=counts)
     if not channel.flags & Flag.WRAPS:
         info = np.iinfo(dtype)
-        np.clip(counts, info.min, info.max, out=counts)
+        np.minimum(np.maximum(counts, info.min, out=counts), info.max, out=counts)
     return counts.astype(np.int64).astype(dtype)
 
 
