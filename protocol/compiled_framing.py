@@ -1,17 +1,21 @@
-"""COBS and CRC-32 of frames on a byte link, compiled by numba: as quick where pip found no C compiler.
+"""COBS and CRC-32 of frames on a byte link as compiled kernels (`protocol.machine_code`): no C compiler is needed.
 
-COBS: Cheshire and Baker, IEEE/ACM Transactions on Networking 7(2), 1999. Importing this module takes some 0.3 s, the
-first time on a machine some 2 s: `protocol.framing` does it before anything waits for an answer.
+COBS: Cheshire and Baker, IEEE/ACM Transactions on Networking 7(2), 1999. Importing this module takes some 0.1 s, the
+first time on a machine a second: `protocol.framing` does it before anything waits for an answer.
 """
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit, types
 from numpy.typing import NDArray
+
+from protocol.machine_code import Store, hashed
 
 RUN = 254  # most bytes that a code byte stands for without a zero after them
 CRC_BYTES = 4
@@ -19,15 +23,8 @@ CRC_BLOCK = 16  # bytes that go into the CRC at a time; 32 are no quicker
 INTACT, BAD_COBS, BAD_CRC, BAD_LENGTH, TOO_LONG = range(5)
 """What `decode` says of a chunk."""
 
-Bytes = NDArray[np.uint8]
-Words = NDArray[np.uint64]
-Integers = NDArray[np.int64]
-Rows = NDArray[np.int32]
-_READ = types.Array(types.uint8, 1, "C", readonly=True)
-_WRITTEN = types.Array(types.uint8, 1, "C")
-_ROW = types.Array(types.int64, 1, "C")
-_WORDS = types.Array(types.uint64, 1, "C")
-_ROWS = types.Array(types.int32, 2, "C")
+Bytes = Any
+"""In a kernel: where bytes begin; a pointer to other numbers likewise."""
 _ONES, _HIGH = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
 _ZERO, _ONE, _RUN = np.uint64(0), np.uint64(1), np.uint64(RUN)
 _ALL = np.uint32(0xFFFFFFFF)
@@ -48,19 +45,6 @@ def _crc_tables() -> NDArray[np.uint32]:
 _TABLES = _crc_tables()
 
 
-def _kept(*arguments: Any) -> Callable[[Any], Any]:
-    """Compile for these types, and keep it in numba's cache where there is a folder that it can be kept in."""
-
-    def decorated(function: Any) -> Any:
-        try:
-            return njit(types.int64(*arguments), cache=True)(function)
-        except (RuntimeError, OSError):
-            return njit(types.int64(*arguments))(function)
-
-    return decorated
-
-
-@njit()
 def _crc(data: Bytes, begin: Any, end: Any, crc: Any) -> Any:
     """The CRC register after these bytes: a block of them at a time ("slicing", Kounavis and Berry, ISCC 2005)."""
     k, last, block = np.uint64(begin), np.uint64(end), np.uint64(CRC_BLOCK)
@@ -78,7 +62,6 @@ def _crc(data: Bytes, begin: Any, end: Any, crc: Any) -> Any:
     return crc
 
 
-@njit()
 def _put(data: Bytes, begin: Any, end: Any, out: Bytes, code: Any, n: Any) -> tuple[Any, Any]:
     """Add bytes to `out`, whose last code byte belongs at `code` and whose next byte at `n`; return both.
 
@@ -100,13 +83,21 @@ def _put(data: Bytes, begin: Any, end: Any, out: Bytes, code: Any, n: Any) -> tu
     return code, n
 
 
-@_kept(_READ, types.uint64, _READ, types.uint64, types.uint64, types.uint64, types.boolean, _WRITTEN, _ROW)
 def _encode(
-    heads: Bytes, size: Any, data: Bytes, begin: Any, end: Any, step: Any, summed: bool, out: Bytes, ends: Integers
-) -> Any:
+    heads: Bytes,
+    size: Any,
+    data: Bytes,
+    begin: Any,
+    end: Any,
+    step: Any,
+    summed: Any,
+    frames: Any,
+    out: Bytes,
+    ends: Bytes,
+    tail: Bytes,
+) -> None:
     n, head = _ZERO, _ZERO
-    tail = np.empty(CRC_BYTES, np.uint8)
-    for frame in range(len(ends)):
+    for frame in range(frames):
         stop = min(end, begin + step)
         out[n] = 0
         code, n = _put(heads, head, head + size, out, n + _ONE, n + _ONE + _ONE)
@@ -123,10 +114,8 @@ def _encode(
         ends[frame] = n
         head += size
         begin = stop
-    return np.int64(n)
 
 
-@njit()
 def _uncovered(data: Bytes, begin: int, end: int) -> int:
     """Decode a chunk where it lies: what it held is from the byte behind `begin` on. Return its end, 0 if damaged."""
     removed, full, k = 0, True, begin
@@ -147,10 +136,11 @@ def _uncovered(data: Bytes, begin: int, end: int) -> int:
     return end - removed
 
 
-@_kept(_WRITTEN, _WORDS, _ROWS, types.int64, types.int64, types.int64)
-def _decode(data: Bytes, words: Words, found: Rows, longest: int, payload: int, overhead: int) -> int:
+def _decode(
+    data: Bytes, words: Bytes, length: int, longest: int, payload: int, overhead: int, found: Bytes, count: Bytes
+) -> None:
     n, begin = 0, 0
-    for w in range(len(words)):
+    for w in range(length):
         if not (words[w] - _ONES) & ~words[w] & _HIGH:  # none of its bytes is zero
             continue
         for end in range(8 * w, 8 * w + 8):
@@ -160,24 +150,24 @@ def _decode(data: Bytes, words: Words, found: Rows, longest: int, payload: int, 
                 first, last = begin + 1, 0
                 if end - begin <= longest:
                     last = _uncovered(data, begin, end)
-                length = last - first - overhead
-                if end - begin > longest or length > payload:  # zeros take no room in COBS
+                held = last - first - overhead
+                if end - begin > longest or held > payload:  # zeros take no room in COBS
                     result = TOO_LONG
                 elif not last:
                     result = BAD_COBS
-                elif length >= 0 and _crc(data, first, last, _ALL) != _RESIDUE:
+                elif held >= 0 and _crc(data, first, last, _ALL) != _RESIDUE:
                     result = BAD_CRC
-                elif length < 0 or int(data[first + 4]) | int(data[first + 5]) << 8 != length:
+                elif held < 0 or int(data[first + 4]) | int(data[first + 5]) << 8 != held:
                     result = BAD_LENGTH
                 else:
                     result = INTACT
-                found[n, 0] = first
-                found[n, 1] = last - CRC_BYTES
-                found[n, 2] = end - begin
-                found[n, 3] = result
+                found[4 * n] = first
+                found[4 * n + 1] = last - CRC_BYTES
+                found[4 * n + 2] = end - begin
+                found[4 * n + 3] = result
                 n += 1
             begin = end + 1
-    return n
+    count[0] = n
 
 
 def encode(
@@ -189,10 +179,13 @@ def encode(
     and the next `step` bytes of `data[begin:end]`.
     """
     size = len(heads) + end - begin + n * CRC_BYTES
-    out, ends = np.empty(size + size // RUN + 4 * n, np.uint8), np.empty(n, np.int64)
-    heads_, data_ = np.frombuffer(heads, np.uint8), np.frombuffer(data, np.uint8)
-    length = _encode(heads_, len(heads) // n, data_, begin, end, step, summed, out, ends)
-    return out[:length].tobytes(), ends.tolist()
+    out, ends = np.empty(size + size // RUN + 4 * n, np.uint8), np.empty(n + 1, np.int64)
+    at = _address(ends)
+    _encode_compiled(
+        heads, len(heads) // n, data, begin, end, step, summed, n, _address(out), at, at + n * ends.itemsize
+    )
+    lengths = ends[:n].tolist()
+    return out[: lengths[-1]].tobytes(), lengths
 
 
 def decode(data: bytes, longest: int, payload: int, overhead: int) -> tuple[bytes, list[list[int]]]:
@@ -210,5 +203,55 @@ def decode(data: bytes, longest: int, payload: int, overhead: int) -> tuple[byte
     """
     work = np.frombuffer(bytearray(data.ljust(len(data) + 7 & ~7, b"\xff")), np.uint8)
     found = np.empty((len(data) // 2, 4), np.int32)  # a chunk has two bytes at least, with its zero
-    count = _decode(work, work.view(np.uint64), found, longest, payload, overhead)
-    return work.tobytes(), found[:count].tolist()
+    count, at = ctypes.c_int64(), _address(work)
+    _decode_compiled(at, at, len(work) // 8, longest, payload, overhead, _address(found), ctypes.addressof(count))
+    return work.tobytes(), found[: count.value].tolist()
+
+
+def _address(array: NDArray[Any]) -> int:
+    at: int = array.ctypes.data
+    return at
+
+
+_FUNCTIONS: dict[str, Callable[..., None]] = {"encode": _encode, "decode": _decode}
+_INLINED = (_crc, _put, _uncovered)
+_SOURCES = (Path(__file__), Path(__file__).with_name("ir_by_numba.py"))
+_STORE = Store(Path(__file__).with_name("kernels"), hashed(_SOURCES, Path(__file__).parent))
+
+
+def _ir(name: str) -> str:
+    """The IR of a function, by numba."""
+    from numba import types
+    from numba.extending import overload
+
+    from protocol.ir_by_numba import OPTIONS, ir_by_numba
+
+    options: Any = OPTIONS
+    for one in _INLINED:
+        overload(one, jit_options=options, strict=False)(lambda *arguments, one=one: one)
+    of: Any = types
+    bytes_, words, rows, counts = (of.CPointer(kind) for kind in (of.uint8, of.uint64, of.int32, of.int64))
+    kinds = {
+        "encode": [bytes_, of.uint64, bytes_, *[of.uint64] * 4, of.int64, bytes_, counts, bytes_],
+        "decode": [bytes_, words, *[of.int64] * 4, rows, counts],
+    }
+    return ir_by_numba(_FUNCTIONS[name], kinds[name])
+
+
+def ship() -> None:
+    """Write the IR that comes with the sources: `python -m sim.compile --ship`."""
+    from protocol.ir_by_numba import VERSIONS
+
+    _STORE.ship({name: _ir(name) for name in _FUNCTIONS}, VERSIONS)
+
+
+def _loaded(name: str, *arguments: Any) -> Callable[..., int]:
+    function: Callable[..., int] = ctypes.PYFUNCTYPE(ctypes.c_int32, *arguments)(
+        _STORE.address(name, partial(_ir, name))
+    )
+    return function
+
+
+_AT, _NUMBER, _GIVEN = ctypes.c_size_t, ctypes.c_int64, ctypes.c_char_p
+_encode_compiled = _loaded("encode", _GIVEN, _NUMBER, _GIVEN, *[_NUMBER] * 5, _AT, _AT, _AT)
+_decode_compiled = _loaded("decode", _AT, _AT, *[_NUMBER] * 4, _AT, _AT)

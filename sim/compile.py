@@ -1,8 +1,10 @@
-"""Kernels are compiled in processes of their own: no handler of a signal runs inside LLVM's compiler.
+"""Kernels are compiled in processes of their own: no handler of a signal runs inside numba.
 
 `compile_apart` starts a child for each group of functions and waits. If an exception ends the wait, Ctrl-C say, the
-children are killed. Otherwise what they have compiled is on disk (`sim.numba_cache`), to be loaded. A child is
+children are killed. Otherwise what they have made is on disk (`protocol.machine_code`), to be loaded. A child is
 `python -m sim.compile NAME...`; it also ends when its standard input does, which it does when the parent is gone.
+
+`python -m sim.compile --ship` writes the IR that comes with the sources: to be run when a kernel was edited.
 
 Importing this module does not import numba.
 """
@@ -19,8 +21,12 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Protocol
 
+from sim.numba_cache import store
+
 TELL_EVERY = 1.0  # s
 POLL = 0.02  # s between two looks at the children
+GENERIC = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+"""Environment of a process in which numba makes IR for any machine: LLVM makes the best of it for the one at hand."""
 
 
 def _print(text: str) -> None:
@@ -41,7 +47,7 @@ class Compiled(Protocol):
         """Whether nothing is to be compiled."""
 
     def make(self) -> None:
-        """Compile it here, or load it."""
+        """Load it; compile it here, if nothing of it is there."""
 
 
 def tell_by(tell: Callable[[str], None]) -> None:
@@ -61,7 +67,10 @@ def compile_apart(*groups: Sequence[Compiled]) -> None:
             if group:
                 command = [sys.executable, "-m", "sim.compile", *(one.name for one in group)]
                 pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
-                made = subprocess.Popen(command, stdin=pipe, stdout=nothing, stderr=nothing, start_new_session=True)
+                environment = {**GENERIC, **os.environ}
+                made = subprocess.Popen(
+                    command, stdin=pipe, stdout=nothing, stderr=nothing, start_new_session=True, env=environment
+                )
                 children.append(made)
         while any(child.poll() is None for child in children):
             if (now := time.monotonic()) - told >= TELL_EVERY:
@@ -92,10 +101,23 @@ def found(name: str) -> Compiled:
 
 
 def main() -> None:
-    """Compile the functions named on the command line, as long as the parent is there."""
+    """Compile the functions named on the command line, as long as the parent is there; or ship all."""
+    if sys.argv[1:] == ["--ship"]:
+        os.environ.update(GENERIC)
+        _ship()
+        return
     threading.Thread(target=_end_with_input, daemon=True).start()
     for name in sys.argv[1:]:
         found(name).make()
+
+
+def _ship() -> None:
+    from protocol.compiled_framing import ship
+    from protocol.ir_by_numba import VERSIONS
+
+    kernels = import_module("sim.ports.device").kernels()
+    store().ship({one.key: one.ir() for one in kernels}, VERSIONS)
+    ship()
 
 
 def _end_with_input() -> None:

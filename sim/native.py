@@ -15,11 +15,13 @@ With NUMBA_DISABLE_JIT it all runs as plain Python, on the same memory.
 from __future__ import annotations
 
 import ctypes
-import inspect
+import hashlib
 import os
+import re
 from collections.abc import Callable
-from functools import cache
-from types import FunctionType
+from functools import cache, cached_property
+from importlib import import_module
+from types import CodeType, FunctionType
 from typing import Any, Generic, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -27,7 +29,7 @@ from numpy.typing import NDArray
 
 from sim.compile import compile_apart
 from sim.interrupts import Held
-from sim.numba_cache import compiled_for_c, is_kept
+from sim.numba_cache import source_stamp, store
 
 __all__ = [
     "Cells",
@@ -47,7 +49,7 @@ T = TypeVar("T")
 Items = TypeVar("Items", bound=tuple[Any, ...])
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
-_SCALARS: dict[Any, str] = {
+SCALARS: dict[Any, str] = {
     float: "f8",
     int: "i8",
     np.uint64: "u8",
@@ -80,12 +82,12 @@ class Pointer(Generic[T]):
 @cache
 def layout(of: Any) -> np.dtype[Any]:
     """The dtype of a record's class, or of a number's: as C lays it out."""
-    if of in _SCALARS:
-        return np.dtype(_SCALARS[of])
+    if of in SCALARS:
+        return np.dtype(SCALARS[of])
     if get_origin(of) is tuple:
         kinds = get_args(of)
         return np.dtype((layout(kinds[0]), (len(kinds),)))
-    return np.dtype([(name, layout(kind)) for name, kind in _fields(of)], align=True)
+    return np.dtype([(name, layout(kind)) for name, kind in fields_of(of)], align=True)
 
 
 class Cells:
@@ -113,11 +115,11 @@ def value(of: Any, cell: Any) -> Any:
     """The record, or the number, that an element of an array holds."""
     if of is int or of is np.uint8 or of is np.uint16 or of is np.uint32:
         return int(cell)
-    if of in _SCALARS:
+    if of in SCALARS:
         return of(cell)
     if get_origin(of) is tuple:
         return tuple(value(kind, one) for kind, one in zip(get_args(of), cell, strict=True))
-    return of(*(value(kind, cell[name]) for name, kind in _fields(of)))
+    return of(*(value(kind, cell[name]) for name, kind in fields_of(of)))
 
 
 def address(array: NDArray[Any]) -> int:
@@ -132,12 +134,13 @@ class Native:
         self.name = name or f"{function.__module__}:{function.__qualname__}"
         self._function = function
         self._hints = {name: kind for name, kind in get_type_hints(function).items() if name != "return"}
-        self._call: Callable[..., None] = self._first
+        self._call: Callable[..., int | None] = self._first
         self._address = 0
 
     def __call__(self, *arguments: float) -> None:
-        """Call it."""
-        self._call(*arguments)
+        """Call it. Raises SystemError if it failed, which is a mistake in the kernel: an index beyond a tuple, say."""
+        if self._call(*arguments):
+            raise SystemError(f"the compiled kernel {self.name} failed")
 
     @property
     def address(self) -> int:
@@ -145,14 +148,27 @@ class Native:
         self.load()
         return self._address
 
+    @cached_property
+    def key(self) -> str:
+        """What it is kept under: its name, and for what is none of the sources that all are kept under, its own."""
+        function = self._function
+        name = re.sub(r"\W+", "_", f"{function.__module__}.{function.__qualname__}")
+        stamp = source_stamp(function.__module__)
+        if not stamp:
+            return name
+        code = function.__code__
+        constants = [one for one in code.co_consts if not isinstance(one, CodeType)]
+        own = repr((stamp, code.co_firstlineno, code.co_code, constants, code.co_names, list(self._hints.items())))
+        return f"{name}-{hashlib.sha256(own.encode()).hexdigest()[:16]}"
+
     @property
     def kept(self) -> bool:
-        """Whether to load it compiles nothing."""
-        return PLAIN or is_kept(self._function)
+        """Whether to load it makes nothing."""
+        return PLAIN or store().is_kept(self.key)
 
-    def _first(self, *arguments: float) -> None:
+    def _first(self, *arguments: float) -> int | None:
         self.load()
-        self._call(*arguments)
+        return self._call(*arguments)
 
     def load(self) -> None:
         """Load it, compiled by a child if it is not kept."""
@@ -162,16 +178,21 @@ class Native:
             self._address = id(self)
             _NATIVES[self._address] = self._call = self._plainly
             return
-        if not self.kept:
+        if not self.kept and not store().is_shipped(self.key):
             compile_apart([self])
         self.make()
 
     def make(self) -> None:
-        """Load it, or compile it here, where no child could; signals wait until that is done."""
+        """Load it; compile it here, where no child could. Signals wait until that is done."""
         with Held():
-            self._address = compiled_for_c(self._function, [_numba_type(kind) for kind in self._hints.values()])
+            self._address = store().address(self.key, self.ir)
         kinds = [ctypes.c_double if kind is float else ctypes.c_int64 for kind in self._hints.values()]
-        self._call = ctypes.CFUNCTYPE(None, *kinds)(self._address)
+        self._call = ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(self._address)
+
+    def ir(self) -> str:
+        """Its LLVM IR, by numba."""
+        text: str = import_module("sim.by_numba").ir_of(self._function, list(self._hints.values()))
+        return text
 
     def _plainly(self, *arguments: float) -> None:
         given = zip(arguments, self._hints.values(), strict=True)
@@ -206,104 +227,21 @@ def zeroed(of: Callable[..., T]) -> T:
     return found
 
 
-if PLAIN:
-
-    def invoke(
-        function: int,
-        params: int,
-        state: int,
-        samples: Pointer[Any],
-        reset: Pointer[Any],
-        found: Pointer[Any],
-        size: int,
-        j: int,
-    ) -> None:
-        """An observer's function at `function` over the j-th sample only; `found`: its estimates, of `size` bytes."""
-        here = samples.at + j * samples._dtype.itemsize
-        _NATIVES[function](params, state, here, reset.at + j, 1, found.at + j * size)
-
-else:
-    from llvmlite import ir
-    from numba import types as numba_types
-    from numba.core.typing import templates as numba_templates
-    from numba.cpython.unsafe import tuple as numba_tuple
-    from numba.extending import intrinsic, lower_builtin, overload, type_callable
-
-    types: Any = numba_types
-    templates: Any = numba_templates
-    tuple_setitem: Any = numba_tuple.tuple_setitem
-
-    @overload(with_item)
-    def _with_item(values, k, item):  # type: ignore[no-untyped-def]
-        return lambda values, k, item: tuple_setitem(values, k, item)
-
-    @type_callable(zeroed)
-    def _type_zeroed(context):  # type: ignore[no-untyped-def]
-        return lambda of: _numba_type(of.instance_class)
-
-    @lower_builtin(zeroed, types.NamedTupleClass)  # type: ignore[no-untyped-call]
-    def _zeroed(context, builder, call, arguments):  # type: ignore[no-untyped-def]
-        return context.get_constant_null(call.return_type)
-
-    @templates.infer_getattr
-    class _Replacing(templates.AttributeTemplate):  # type: ignore[misc]
-        """Types `record._replace(field=...)`: the fields' places go along as a constant last argument."""
-
-        key = types.BaseNamedTuple
-
-        @templates.bound_function("namedtuple._replace")
-        def resolve__replace(self, record, values, fields):  # type: ignore[no-untyped-def]
-            if values or not set(fields) <= set(record.fields):
-                return None
-            places = tuple(record.fields.index(name) for name in fields)
-            kinds = *(record[k] for k in places), types.Omitted(places)
-            anywhere = inspect.Parameter.POSITIONAL_OR_KEYWORD
-            names = [inspect.Parameter(name, anywhere) for name in fields]
-            named = inspect.Signature([*names, inspect.Parameter("_places", anywhere, default=None)])
-            return templates.signature(record, *kinds, recvr=record).replace(pysig=named)
-
-    @lower_builtin("namedtuple._replace", types.BaseTuple, types.VarArg(types.Any))  # type: ignore[no-untyped-call]
-    def _replaced(context, builder, call, arguments):  # type: ignore[no-untyped-def]
-        record, *values, _ = arguments
-        for place, value in zip(call.args[-1].value, values, strict=True):
-            record = builder.insert_value(record, value, place)
-        return record
-
-    @intrinsic
-    def invoke(typing, function, params, state, samples, reset, found, size, j):  # type: ignore[no-untyped-def]
-        """An observer's function at `function` over the j-th sample only; `found`: its estimates, of `size` bytes."""
-
-        def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-            function, params, state, samples, reset, found, size, j = arguments
-            word = ir.IntType(64)
-            called = builder.inttoptr(function, ir.FunctionType(ir.VoidType(), [word] * 6).as_pointer())
-            here = builder.ptrtoint(builder.gep(samples, [j]), word)
-            flag = builder.ptrtoint(builder.gep(reset, [j]), word)
-            there = builder.add(builder.ptrtoint(found, word), builder.mul(size, j))
-            builder.call(called, [params, state, here, flag, ir.Constant(word, 1), there])
-            return context.get_dummy_value()
-
-        whole = types.int64
-        return types.void(whole, whole, whole, samples, reset, found, whole, whole), generate
+def invoke(
+    function: int,
+    params: int,
+    state: int,
+    samples: Pointer[Any],
+    reset: Pointer[Any],
+    found: Pointer[Any],
+    size: int,
+    j: int,
+) -> None:
+    """An observer's function at `function` over the j-th sample only; `found`: its estimates, of `size` bytes."""
+    here = samples.at + j * samples._dtype.itemsize
+    _NATIVES[function](params, state, here, reset.at + j, 1, found.at + j * size)
 
 
-def _fields(of: Any) -> list[tuple[str, Any]]:
+def fields_of(of: Any) -> list[tuple[str, Any]]:
     hints = get_type_hints(of)
     return [(name, hints[name]) for name in of._fields]
-
-
-@cache
-def _numba_type(of: Any) -> Any:
-    from numba import types as numba_types
-
-    types: Any = numba_types
-    if get_origin(of) is Pointer:
-        return types.CPointer(_numba_type(get_args(of)[0]))
-    if of in _SCALARS:
-        return getattr(types, np.dtype(_SCALARS[of]).name)
-    if get_origin(of) is tuple:
-        return types.UniTuple(_numba_type(get_args(of)[0]), len(get_args(of)))
-    kinds = [_numba_type(kind) for _, kind in _fields(of)]
-    if kinds and all(kind == kinds[0] for kind in kinds):
-        return types.NamedUniTuple(kinds[0], len(kinds), of)
-    return types.NamedTuple(kinds, of)

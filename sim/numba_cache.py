@@ -1,46 +1,27 @@
-"""Where compiled kernels are kept, and the decorators that compile them.
+"""The kernels' sources: the decorator that marks them, and the hash that says whether what is kept of them is stale.
 
-Numba's own disk cache watches only the file of the cached function: an edited helper in another file leaves a
-stale caller. So the kernels live in a directory whose name holds a hash of every source that kernels are made
-of, together with the versions of Python and numba: any edit starts a fresh directory, and old ones are
-pruned. Only what Python calls is kept (`sim.native`): the kernels that it is made of are in it.
-
-`$NUMBA_CACHE_DIR`, where set, takes the place of the user's cache directory; where that cannot be written, a temporary
-one does, for this process and those that it starts. Other packages' numba caches are never touched. Importing this
-module does not import numba; its decorators do.
+A kernel's machine code holds all kernels that it is made of, so it is kept under a hash of every source that kernels
+are made of: any edit makes all of it anew (`protocol.machine_code`). Importing this module does not import numba.
 """
 
 from __future__ import annotations
 
-import atexit
 import hashlib
-import os
-import shutil
 import sys
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
+from uuid import uuid4
 
-from platformdirs import user_cache_path
+from protocol.machine_code import Store, hashed
 
-__all__ = [
-    "Locator",
-    "cache_dir",
-    "compiled_for_c",
-    "is_kept",
-    "kernel",
-    "source_hash",
-    "source_stamp",
-]
+__all__ = ["KERNELS", "kernel", "source_hash", "source_stamp", "store"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-KEPT = 6  # cache directories of other source states that are left alone: branches, two checkouts
 _HERE = Path(__file__).parent
+SHIPPED = _HERE / "kernels"
 
 # Of `sim/drive` and `sim/ports` only the control tick and the lengths of CAN frames are kernels.
 _PLAIN = ("config", "drive", "ports", "compile.py", "interrupts.py")
@@ -51,7 +32,8 @@ _IN_PROTOCOL = (
     "signals.py",
     "streams.py",
     "canmap/frame.py",
-)  # constants that kernels take in
+    "ir_by_numba.py",
+)  # constants that kernels take in, and how they are compiled
 
 
 def _kernel_sources() -> list[Path]:
@@ -65,26 +47,22 @@ def _kernel_sources() -> list[Path]:
 
 @cache
 def source_hash() -> str:
-    """Hash of all kernel sources and of the versions of Python and numba: 16 hex digits."""
-    digest = hashlib.sha256()
-    for package in ("numba", "llvmlite", "numpy"):
-        try:
-            digest.update(f"{package} {version(package)}\n".encode())
-        except PackageNotFoundError:
-            digest.update(f"{package} none\n".encode())
-    digest.update(f"{sys.implementation.cache_tag} {sys.platform}\n".encode())
-    for path in _kernel_sources():
-        content = path.read_bytes() if path.exists() else b""
-        digest.update(f"{path.relative_to(_HERE.parent).as_posix()} {len(content)}\n".encode())
-        digest.update(content)
-    return digest.hexdigest()[:16]
+    """Hash of all kernel sources: 16 hex digits."""
+    return hashed(_kernel_sources(), _HERE.parent)
+
+
+@cache
+def store() -> Store:
+    """Where the kernels are kept."""
+    return Store(SHIPPED, source_hash())
 
 
 @cache
 def source_stamp(module: str) -> str:
     """Hash of a module's sources, if it is none of those that `source_hash` is made of; else empty.
 
-    Of a package's module all that is in the package counts: kernels are made of one another.
+    Of a package's module all that is in the package counts: kernels are made of one another. A module without sources
+    has another one in each process.
     """
     top = module.partition(".")[0]
     if top in ("sim", "protocol"):
@@ -93,39 +71,16 @@ def source_stamp(module: str) -> str:
     folders = [Path(folder) for folder in getattr(found, "__path__", ())]
     file = getattr(sys.modules.get(module), "__file__", None)
     paths = sorted(path for folder in folders for path in folder.rglob("*.py")) or ([Path(file)] if file else [])
+    if not paths:
+        return uuid4().hex[:16]
     digest = hashlib.sha256()
     for path in paths:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-@cache
-def cache_dir() -> Path:
-    """The directory for the kernels of the present sources, marked as used now; the oldest others are dropped."""
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    base = Path(given) / "hallbench" if given else user_cache_path("hallbench", appauthor=False)
-    own = base / f"numba-{source_hash()}"
-    try:
-        own.mkdir(parents=True, exist_ok=True)
-        os.utime(own)
-    except OSError:
-        os.environ["NUMBA_CACHE_DIR"] = temporary = tempfile.mkdtemp(prefix="hallbench-")
-        atexit.register(shutil.rmtree, temporary, ignore_errors=True)
-        return Path(temporary, "hallbench", own.name)
-    with suppress(OSError):  # another process drops them too
-        others = sorted((p for p in base.glob("numba-*") if p != own), key=lambda p: p.stat().st_mtime)
-        for old in others[: max(0, len(others) - KEPT)]:
-            shutil.rmtree(old, ignore_errors=True)
-    return own
-
-
-def is_kept(function: Callable[..., Any]) -> bool:
-    """Whether a function that was compiled for C is kept for the present sources: its next use compiles nothing.
-
-    Cheap: it looks for a file and imports nothing.
-    """
-    folder = cache_dir() / function.__module__
-    return any(folder.glob(f"*.{function.__qualname__}-*.nbc"))
+KERNELS: list[Callable[..., Any]] = []
+"""All functions that `kernel` marked."""
 
 
 def kernel(function: F) -> F:
@@ -133,102 +88,7 @@ def kernel(function: F) -> F:
 
     Arithmetic keeps to the order of the source (no fastmath, no contraction), so that the compiled and the plain
     function agree bit for bit, but where something is divided by zero: compiled that gives an infinity or NaN. It must
-    not make an array. Called from Python it runs as the plain function that it is: what a call from Python takes, for
-    tuples within tuples, would be two fifths of all that is to be compiled.
+    not make an array. Called from Python it is the plain function.
     """
-    import numba
-
-    njit: Any = numba.njit
-    made = njit(
-        nogil=True,
-        error_model="numpy",
-        forceinline=True,
-        no_cfunc_wrapper=True,
-        no_cpython_wrapper=True,
-        _nrt=False,
-    )(function)
-    if hasattr(made, "py_func"):  # not with NUMBA_DISABLE_JIT
-        made.__class__ = _plainly_called(cast("Any", type(made)))
-    return cast("F", made)
-
-
-@cache
-def _plainly_called(dispatcher: Any) -> type[Any]:
-    class Kernel(dispatcher):  # type: ignore[misc]
-        def __call__(self, *arguments: Any) -> Any:
-            return self.py_func(*arguments)
-
-    return Kernel
-
-
-def compiled_for_c(function: Callable[..., None], arguments: Sequence[Any]) -> int:
-    """The address of a function compiled for C's calls: `arguments` are numba's types, it returns nothing.
-
-    No handler of a signal may raise in here (`sim.interrupts`): LLVM calls Python back, and drops what is raised there.
-    """
-    import numba
-
-    cfunc: Any = numba.cfunc
-    signature = numba.types.void(*arguments)
-    with _kept_by_numba():
-        try:
-            made = cfunc(signature, cache=True, error_model="numpy", _nrt=False)(function)
-        except RuntimeError:  # numba: "no locator available", nothing can be written
-            made = cfunc(signature, error_model="numpy", _nrt=False)(function)
-    _FUNCTIONS.append(made)
-    address: int = made.address
-    return address
-
-
-_FUNCTIONS: list[Any] = []  # what is compiled for C, alive as long as the process
-
-
-class Locator:
-    """Where numba keeps a compiled function, and when that is stale: by the sources' hash, wherever they are installed.
-
-    numba's interface of a cache locator (its option NUMBA_CACHE_LOCATOR_CLASSES).
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._line = function.__code__.co_firstlineno
-        self._folder = cache_dir() / function.__module__
-        self._py_file = function.__code__.co_filename  # numba names it in warnings
-        self._stamp = source_stamp(function.__module__)
-
-    @classmethod
-    def from_function(cls, function: Callable[..., Any], file: str) -> Locator | None:
-        """The locator of a function; None where no cache can be written."""
-        made = cls(function)
-        try:
-            made._folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            return None
-        return made
-
-    def get_cache_path(self) -> str:
-        """The folder, which exists."""
-        return str(self._folder)
-
-    ensure_cache_path = get_cache_path
-
-    def get_source_stamp(self) -> str:
-        """What changes with the sources that the folder's name does not stand for."""
-        return self._stamp
-
-    def get_disambiguator(self) -> str:
-        """What tells functions of one name in a module apart."""
-        return str(self._line)
-
-
-@contextmanager
-def _kept_by_numba() -> Iterator[None]:
-    """Let numba keep what is made within in `cache_dir()`."""
-    import numba.core.config
-
-    config: Any = numba.core.config
-    before = config.CACHE_LOCATOR_CLASSES
-    config.CACHE_LOCATOR_CLASSES = f"{__name__}.Locator"
-    try:
-        yield
-    finally:
-        config.CACHE_LOCATOR_CLASSES = before
+    KERNELS.append(function)
+    return function

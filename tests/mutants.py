@@ -29,7 +29,10 @@ from typing import Any
 
 FOLDER = ".mutants"
 PLACES = ("bench/**/*.py", "protocol/**/*.py", "sim/config/*.py", "sim/ports/*.py", "sim/drive/*.py", "sim/*.py")
-COMPILED = ("sim/native.py", "sim/numba_cache.py", "protocol/compiled_framing.py")
+COMPILED = (
+    *("sim/native.py", "sim/numba_cache.py", "sim/by_numba.py"),
+    *("protocol/compiled_framing.py", "protocol/machine_code.py", "protocol/ir_by_numba.py"),
+)
 UNUSED = ("RemoveDecorator", "VariableReplacer", "VariableInserter")  # operators whose mutants say little
 RUN = [".venv/bin/python", "-m", "pytest", "-q", "-p", "no:cacheprovider"]
 

@@ -1,8 +1,9 @@
-"""The cache of compiled kernels: keyed to the sources, importable without numba."""
+"""What is kept of compiled kernels: keyed to the sources, shipped with them, loaded without numba."""
 
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,12 +11,16 @@ from types import FunctionType
 
 import pytest
 
+from protocol import machine_code
+from protocol.machine_code import Store
+from sim import native as natives
 from sim import numba_cache
-from sim.compile import findable, found
+from sim.compile import GENERIC, findable, found
 from sim.drive import tick
 from sim.native import Cells, Native, Pointer, native, specialised
-from sim.numba_cache import is_kept, kernel
+from sim.numba_cache import kernel
 from sim.observers.catalogue import CATALOGUE
+from sim.ports.device import kernels
 from tests.choice import sampled
 
 
@@ -31,7 +36,9 @@ def fill(x: float, y: Pointer[float]) -> None:
 @pytest.fixture
 def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FunctionType:
     """A function of kernels that nothing has compiled yet."""
-    monkeypatch.setattr(numba_cache, "cache_dir", lambda: tmp_path / "numba-now")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    made = Store(tmp_path / "shipped", "now")
+    monkeypatch.setattr(natives, "store", lambda: made)
     return specialised(fill, "fill", fill.__annotations__)
 
 
@@ -41,9 +48,47 @@ def filled(function: Native, x: float) -> float:
     return float(y.first)
 
 
-def test_module_imports_without_numba() -> None:
-    code = "import sys, sim.numba_cache as c; c.is_kept(print); sys.exit('numba' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+def test_a_drive_and_every_observer_run_without_numba_on_what_comes_with_the_sources(tmp_path: Path) -> None:
+    code = """
+import sys
+from sim.config.params import load_params
+from sim.observers.catalogue import CATALOGUE
+from sim.ports.device import SimulatedDevice, compile_all
+
+compile_all()
+SimulatedDevice(load_params()).bench.advance(100)
+for entry in CATALOGUE.values():
+    entry.start(entry.make_params(16_000, load_params().drive_parameters()))
+sys.exit("numba" in sys.modules)
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "compiling" in done.stderr
+
+
+def test_what_is_shipped_was_made_of_these_sources() -> None:
+    """If not: `python -m sim.compile --ship`, with the kernels' edits in one commit."""
+    assert [one.key for one in kernels() if not numba_cache.store().is_shipped(one.key)] == []
+
+
+SHIPPED_AGAIN = """
+import sys
+from protocol.ir_by_numba import VERSIONS
+from sim.compile import found
+from sim.numba_cache import store
+
+one = found(sys.argv[1])
+assert store().made_by != VERSIONS or one.ir() == store().text(one.key)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("one", sampled("shipped", kernels(), 1, campaign="kernels"), ids=lambda one: one.key)
+def test_what_is_shipped_is_what_numba_makes_of_the_sources(one: Native) -> None:
+    command = [sys.executable, "-c", SHIPPED_AGAIN, one.name]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **GENERIC}, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(
@@ -72,44 +117,79 @@ def test_hash_is_that_of_the_kernels_and_of_the_constants_that_they_take(
 
 def test_old_directories_are_pruned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tmp_path /= "hallbench"
-    for k in range(10):
-        (tmp_path / f"numba-{k:016x}").mkdir(parents=True)
+    for k in range(20):
+        (tmp_path / f"kernels-{k:016x}").mkdir(parents=True)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path.parent))
-    own = numba_cache.cache_dir.__wrapped__()
+    own = Store(tmp_path, "now").folder
     assert own.parent == tmp_path
     assert own in list(tmp_path.iterdir())
-    assert len(list(tmp_path.iterdir())) == numba_cache.KEPT + 1
+    assert len(list(tmp_path.iterdir())) == machine_code.KEPT + 1
 
 
 def test_a_cache_that_cannot_be_written_is_a_temporary_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
-    made = numba_cache.cache_dir.__wrapped__()
+    made = Store(tmp_path, "now").folder
     assert tmp_path not in made.parents
-    assert numba_cache.cache_dir.__wrapped__() == made
+    assert Store(tmp_path, "now").folder == made
     assert made.is_dir()
+
+
+def nothing_compiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Native, "ir", None)
 
 
 def test_what_is_compiled_here_is_kept_and_found_by_a_copy_installed_elsewhere(
     fresh: FunctionType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert not is_kept(fresh)
+    assert not native(fresh).kept
     assert filled(native(fresh), 1.5) == 6.0
-    assert is_kept(fresh)
+    assert native(fresh).kept
     elsewhere = fresh.__code__.replace(co_filename=str(tmp_path / "elsewhere" / Path(__file__).name))
     copy = FunctionType(elsewhere, fresh.__globals__, "fill")
     copy.__annotations__, copy.__module__ = fresh.__annotations__, fresh.__module__
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "elsewhere" / Path(__file__).name).write_text("")
-    with monkeypatch.context() as nothing_compiles:
-        nothing_compiles.setattr("numba.core.compiler.compile_extra", None)
-        assert filled(native(copy), 2.5) == 10.0
+    nothing_compiles(monkeypatch)
+    assert filled(native(copy), 2.5) == 10.0
+
+
+@pytest.mark.parametrize("left", [0, 10, 300])
+def test_kept_code_that_is_cut_short_is_made_again(fresh: FunctionType, tmp_path: Path, left: int) -> None:
+    assert filled(native(fresh), 1.5) == 6.0
+    (kept,) = tmp_path.rglob("*.o")
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[:left])
+    assert filled(native(fresh), 1.5) == 6.0
+    assert kept.read_bytes() == whole
+
+
+def test_shipped_ir_that_llvm_does_not_take_is_made_again(fresh: FunctionType, tmp_path: Path) -> None:
+    made = natives.store()
+    made.ship({native(fresh).key: "define i32 @nothing() { ret what }"}, "nobody")
+    assert made.is_shipped(native(fresh).key)
+    assert filled(native(fresh), 1.5) == 6.0
+
+
+def test_shipped_ir_of_other_sources_is_left_alone(fresh: FunctionType, tmp_path: Path) -> None:
+    Store(tmp_path / "shipped", "before").ship({native(fresh).key: ""}, "nobody")
+    assert not natives.store().is_shipped(native(fresh).key)
 
 
 def test_where_nothing_can_be_kept_it_compiles(monkeypatch: pytest.MonkeyPatch, fresh: FunctionType) -> None:
-    monkeypatch.setattr(numba_cache.Locator, "from_function", classmethod(lambda cls, function, file: None))
+    monkeypatch.setattr(machine_code.tempfile, "TemporaryDirectory", fails)
     assert filled(native(fresh), 1.0) == 4.0
-    assert not is_kept(fresh)
+    assert not native(fresh).kept
+
+
+def fails(dir: Path) -> None:
+    raise OSError(f"{dir} is full")
+
+
+def test_a_kernel_that_fails_says_so() -> None:
+    def third(x: float, y: Pointer[float]) -> None:
+        y[0] = (x, x)[int(x)]
+
+    with pytest.raises(SystemError, match="third failed"):
+        filled(native(third), 2.0)
 
 
 def test_functions_are_found_by_their_names_and_others_compiled_here(fresh: FunctionType) -> None:
