@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,8 @@ CHECKED = {channel: (entry.name, field) for entry in CATALOGUE.values() for chan
 """The channels that carry an observer's results: its name, and the field of its estimates."""
 WORTH_THREADS = 8000  # samples from which on it pays to run observers side by side
 MEASURED, EDGE = layout(sample.Measured), layout(hall_speed.Edge)
+T = TypeVar("T")
+R = TypeVar("R")
 F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Records = NDArray[np.void]
@@ -158,11 +160,15 @@ class _Kernels:
             return found
 
         # the first time they are compiled or loaded, which is this thread's to do
-        side_by_side = self.steps > 0 and len(reset) >= WORTH_THREADS
-        found = _threads().map(observe, self._observers) if side_by_side else map(observe, self._observers)
+        found = side_by_side(observe, self._observers, len(reset) if self.steps else 0)
         estimates = dict(zip(self._observers, found, strict=True))
         self.steps += len(reset)
         return estimates
+
+
+def side_by_side(action: Callable[[T], R], items: Iterable[T], n: int) -> list[R]:
+    """What `action` gives of each item, by threads if it goes through enough samples, n, without the interpreter."""
+    return list(_threads().map(action, items) if n >= WORTH_THREADS else map(action, items))
 
 
 @cache

@@ -8,6 +8,7 @@ Nothing here knows a unit.
 from __future__ import annotations
 
 import math
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,14 @@ class LagBySpeed:
             part._square, part._product = float((off * off).sum()), float((off * (error - part._mean[1])).sum())
             part._span = float(omega.min()), float(omega.max())
             self.merge(part)
+
+    @classmethod
+    def of(cls, n: float, omega: float, error: float, square: float, product: float, *span: float) -> Self:
+        """That of n samples: means, sums about them of speed by speed and speed by error, slowest and fastest."""
+        made = cls()
+        made._n, made._mean, made._square, made._product = int(n), np.array([omega, error]), square, product
+        made._span = span[0], span[1]
+        return made
 
     def merge(self, other: LagBySpeed) -> None:
         """Add those that another has."""

@@ -7,7 +7,6 @@ changes (`turns_of`). All else depends on what is within `CONTEXT` only, so a re
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,21 +118,14 @@ def phases_with(turns: Turns, omega: F64, usable: Flags, rate: float, pole_pairs
     return Phases(moving, free & ~changing, free & changing, start_up, reversal, *within)
 
 
-def speed_bins(rpm: F64) -> dict[str, NDArray[np.int64]]:
-    """Positions of the speeds `rpm` (n,) by bin, as "350_to_750" or "-750_to_-350", from the lowest up; bins without
-    samples are left out.
-    """
-    number = np.sign(rpm).astype(np.int64) * np.digitize(np.abs(rpm), SPEED_EDGES)  # 0: at rest
-    return {_bin_name(k): np.flatnonzero(number == k) for k in np.unique(number).tolist() if k}
+def speed_numbers(rpm: F64) -> I64:
+    """The bin of each of the speeds `rpm` (n,), negative in reverse; 0: at rest."""
+    numbers: I64 = np.sign(rpm).astype(np.int64) * np.digitize(np.abs(rpm), SPEED_EDGES)
+    return numbers
 
 
-def in_order(names: Iterable[str]) -> list[str]:
-    """Names of `speed_bins`, from the lowest up."""
-    every = [_bin_name(k) for k in range(-len(SPEED_EDGES), len(SPEED_EDGES) + 1) if k]
-    return sorted(names, key=every.index)
-
-
-def _bin_name(number: int) -> str:
+def speed_bin(number: int) -> str:
+    """Name of a bin of the speed, as "350_to_750" or "-750_to_-350"."""
     k = abs(number)
     lo, hi = (f"{SPEED_EDGES[j]:g}" if j < len(SPEED_EDGES) else "up" for j in (k - 1, k))
     return f"{lo}_to_{hi}" if number > 0 else f"-{hi}_to_-{lo}"
