@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.signal.position import unwrapped
 from bench.signal.units import RPM
 
 F64 = NDArray[np.float64]
@@ -47,7 +48,7 @@ class Phases:
 
 def speed_of(theta: F64, rate: float) -> F64:
     """Speed (n,), rad/s, of the angle `theta` (n,) rad, wrapped or not, at `rate` samples a second without a gap."""
-    return _difference(np.unwrap(theta), SPEED_WINDOW, rate)
+    return _difference(unwrapped(theta), SPEED_WINDOW, rate)
 
 
 @dataclass(frozen=True)
@@ -133,10 +134,16 @@ def speed_bin(number: int) -> str:
 
 def _difference(values: F64, window: float, rate: float) -> F64:
     """Central difference quotient over `window` s; one-sided at the ends."""
-    n, half = len(values), max(1, round(0.5 * window * rate))
-    index = np.arange(n)
-    after, before = np.minimum(index + half, n - 1), np.maximum(index - half, 0)
-    quotient: F64 = (values[after] - values[before]) * rate / np.maximum(after - before, 1)
+    n = len(values)
+    half = min(max(1, round(0.5 * window * rate)), n)
+    quotient = np.empty(n)
+    inner, ends = slice(half, n - half), np.concatenate([np.arange(half), np.arange(max(half, n - half), n)])
+    if n > 2 * half:
+        np.subtract(values[2 * half :], values[: n - 2 * half], out=quotient[inner])
+        quotient[inner] *= rate
+        quotient[inner] /= 2 * half
+    after, before = np.minimum(ends + half, n - 1), np.maximum(ends - half, 0)
+    quotient[ends] = (values[after] - values[before]) * rate / np.maximum(after - before, 1)
     return quotient
 
 

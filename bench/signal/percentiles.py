@@ -28,6 +28,9 @@ class Percentiles:
         self._waiting: list[NDArray[np.float64]] = []  # not looked at yet, so that few at a time cost little
         self._looked_at = 0
         self._top = np.empty(0)
+        self._beyond: list[NDArray[np.float64]] = []  # counted, and perhaps among the largest
+        self.least = -math.inf
+        """The largest magnitude that is not to be kept as it is."""
         self._counts = counts  # none as long as all are kept
 
     def add(self, values: NDArray[np.float64] | float, count: int = 1) -> None:
@@ -42,12 +45,9 @@ class Percentiles:
         """Add n magnitudes that are among the counts already; `beyond` (m,): those of them that are beyond `least`."""
         self.n += n
         self._looked_at = self.n
-        self._keep(beyond)
-
-    @property
-    def least(self) -> float:
-        """The largest magnitude that is not to be kept as it is."""
-        return float(self._top.min()) if len(self._top) == self.KEPT else -math.inf
+        self._beyond.append(beyond)
+        if sum(map(len, self._beyond)) > self.KEPT:
+            self._look()
 
     def merge(self, other: Percentiles) -> None:
         """Add those that another has."""
@@ -84,7 +84,8 @@ class Percentiles:
         self._waiting, self._looked_at = [], self.n
         if self._counts is not None:
             self._counts += self._counted(values)
-            values = values[~(values <= self._top.min())]  # NaN stays
+            values = values[~(values <= self.least)]  # NaN stays
+        values, self._beyond = np.concatenate([values, *self._beyond]), []
         self._keep(values)
 
     def _keep(self, values: NDArray[np.float64]) -> None:
@@ -93,6 +94,7 @@ class Percentiles:
             if self._counts is None:
                 self._counts = self._counted(whole)
             whole = np.partition(whole, len(whole) - self.KEPT)[-self.KEPT :]
+            self.least = float(whole[0])
         self._top = whole
 
     def _all_counted(self) -> NDArray[np.int64]:

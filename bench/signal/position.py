@@ -32,6 +32,17 @@ def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     return turned - math.pi
 
 
+def unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`angle` (n,) in rad, finite, followed over its wraps: as `numpy.unwrap`, which computes each step as one."""
+    step = np.diff(angle)
+    at = np.flatnonzero(np.abs(step) >= math.pi)
+    turn = wrap(step[at])
+    turn[(turn == -math.pi) & (step[at] > 0.0)] = math.pi
+    turns = np.concatenate([[0.0], np.cumsum(turn - step[at])])
+    followed: NDArray[np.float64] = angle + np.repeat(turns, np.diff(np.concatenate([[0], at + 1, [len(angle)]])))
+    return followed
+
+
 def wrapped(angle: float) -> float:
     """One angle in rad, wrapped to [-pi, pi)."""
     return (angle + math.pi) % math.tau - math.pi
