@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.info import HOST_SUFFIX
-from bench.replay.estimators import Estimators, raw_counts
+from bench.replay.estimators import PORTION, Estimators, raw_counts
 from bench.signal.chunks import part, with_columns
 from protocol.descriptor import Channel
 from protocol.signals import ANGLE, SPEED, Flag, RawType, Signal, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 _FIRST_ID = 0xFF00  # past the ids of any drive's channels
-_PORTION = 1 << 13  # samples at a time: what stays in the cache
 
 
 def host_channels(shorts: Sequence[str], beside: Sequence[Channel | Signal]) -> tuple[Channel, ...]:
@@ -67,8 +66,8 @@ class Augmenter:
     def columns(self, chunk: SampleChunk) -> list[NDArray[np.generic]]:
         """Raw values of the further channels at the samples of the chunk, one or more, (n,) each."""
         columns: list[NDArray[np.generic]] = [np.empty(len(chunk), channel.raw.dtype) for channel in self.channels]
-        for first in range(0, len(chunk), _PORTION):
-            rows = slice(first, first + _PORTION)
+        for first in range(0, len(chunk), PORTION):
+            rows = slice(first, first + PORTION)
             found = self.estimators.samples(part(chunk, rows.start, rows.stop))
             values = [value for entry in self.estimators.entries for value in found[entry.name]]
             for channel, column, value in zip(self.channels, columns, values, strict=True):

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from bench.errors import BenchError
 from bench.replay.current_error import CurrentError
-from bench.signal.chunks import breaks
+from bench.signal.chunks import breaks, part
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from protocol.text import did_you_mean
-from sim.native import layout
+from sim.native import address, layout
 from sim.observers import hall_speed, sample
 from sim.observers.catalogue import BROKEN, CATALOGUE
 from sim.observers.entry import CURRENT, VOLTAGE, Entry, chosen, missing
@@ -36,6 +36,7 @@ current error is taken as 0; what an observer needs of the others, its entry say
 CHECKED = {channel: (entry.name, field) for entry in CATALOGUE.values() for channel, field in entry.channels.items()}
 """The channels that carry an observer's results: its name, and the field of its estimates."""
 WORTH_THREADS = 8000  # samples from which on it pays to run observers side by side
+PORTION = 1 << 13  # samples that they run over at a time: what stays in the cache
 MEASURED, EDGE = layout(sample.Measured), layout(hall_speed.Edge)
 T = TypeVar("T")
 R = TypeVar("R")
@@ -139,6 +140,15 @@ class _Kernels:
 
     def run(self, chunk: SampleChunk, reset: Flags) -> dict[str, Records]:
         """The observers' estimates at the samples of `chunk` by name; `reset` (n,): where they are initialised."""
+        found = {name: np.empty(len(chunk), observer.dtype) for name, observer in self._observers.items()}
+        for first in range(0, len(chunk), PORTION):
+            rows = slice(first, first + PORTION)
+            self._portion(
+                part(chunk, rows.start, rows.stop), reset[rows], {name: of[rows] for name, of in found.items()}
+            )
+        return found
+
+    def _portion(self, chunk: SampleChunk, reset: Flags, found: Mapping[str, Records]) -> None:
         if len(self._measured) < len(chunk):
             self._measured = np.zeros(len(chunk), MEASURED)
         measured = self._measured[: len(chunk)]
@@ -153,17 +163,14 @@ class _Kernels:
         samples = self._front.run(measured, due, reset)
         self.front_seconds += time.thread_time() - begun
 
-        def observe(name: str) -> Records:
+        def observe(name: str) -> None:
             begun = time.thread_time()
-            found = self._observers[name].run(samples, reset)
+            self._observers[name].step_over(address(samples), address(reset), len(reset), address(found[name]))
             self.seconds[name] += time.thread_time() - begun
-            return found
 
         # the first time they are compiled or loaded, which is this thread's to do
-        found = side_by_side(observe, self._observers, len(reset) if self.steps else 0)
-        estimates = dict(zip(self._observers, found, strict=True))
+        side_by_side(observe, self._observers, len(reset) if self.steps else 0)
         self.steps += len(reset)
-        return estimates
 
 
 def side_by_side(action: Callable[[T], R], items: Iterable[T], n: int) -> list[R]:

@@ -107,9 +107,10 @@ class Tally:
         """Add a block, with the estimate of its own samples, (n,) each, to this and to what is plotted over time."""
         n = len(estimate.theta)
         self._fold(block, estimate, over_time, n)
+        if block.changes is None:
+            return
         known = np.isfinite(estimate.omega)
-        changes = block.changes if known.all() else block.changes_where(known)
-        if changes is not None:
+        if (changes := block.changes if known.all() else block.changes_where(known)) is not None:
             whole = np.zeros(len(block.omega))
             whole[block.own] = estimate.omega
             self._speed_lag.add(changes, changes.against(whole))
@@ -132,7 +133,8 @@ class Tally:
         many, peak, at, *lag = found[4 * GROUPS :].tolist()
         beyond, whose = beyond[: int(many)], whose[: int(many)]
         for k, (count, mean, m2, largest) in enumerate(found[: 4 * GROUPS].reshape(-1, 4).tolist()):
-            self._errors[k].counted(Moments(int(count), mean, m2, largest), beyond[whose == k] if count else beyond)
+            if count:
+                self._errors[k].counted(Moments(int(count), mean, m2, largest), beyond[whose == k])
         self._angle_lag.merge(LagBySpeed.of(*lag))
         over_time.take(peak, block.t + at / block.rate)
 

@@ -41,9 +41,8 @@ class Errors:
 
     def counted(self, moments: Moments, beyond: F64) -> None:
         """Add samples that have been counted, see `Percentiles`."""
-        if moments.n:
-            self._moments.merge(moments)
-            self._sizes.counted(moments.n, beyond)
+        self._moments.merge(moments)
+        self._sizes.counted(moments.n, beyond)
 
     @property
     def least(self) -> float:

@@ -29,6 +29,7 @@ class Percentiles:
         self._looked_at = 0
         self._top = np.empty(0)
         self._beyond: list[NDArray[np.float64]] = []  # counted, and perhaps among the largest
+        self._many = 0  # of these
         self.least = -math.inf
         """The largest magnitude that is not to be kept as it is."""
         self._counts = counts  # none as long as all are kept
@@ -45,9 +46,11 @@ class Percentiles:
         """Add n magnitudes that are among the counts already; `beyond` (m,): those of them that are beyond `least`."""
         self.n += n
         self._looked_at = self.n
-        self._beyond.append(beyond)
-        if sum(map(len, self._beyond)) > self.KEPT:
-            self._look()
+        if len(beyond):
+            self._beyond.append(beyond)
+            self._many += len(beyond)
+            if self._many > 4 * self.KEPT:
+                self._look()
 
     def merge(self, other: Percentiles) -> None:
         """Add those that another has."""
@@ -85,7 +88,8 @@ class Percentiles:
         if self._counts is not None:
             self._counts += self._counted(values)
             values = values[~(values <= self.least)]  # NaN stays
-        values, self._beyond = np.concatenate([values, *self._beyond]), []
+        values = np.concatenate([values, *self._beyond])
+        self._beyond, self._many = [], 0
         self._keep(values)
 
     def _keep(self, values: NDArray[np.float64]) -> None:
