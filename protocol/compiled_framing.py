@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.machine_code import Store, hashed
+from protocol.machine_code import Store, hashed, kernel
 
 RUN = 254  # most bytes that a code byte stands for without a zero after them
 CRC_BYTES = 4
@@ -45,6 +45,7 @@ def _crc_tables() -> NDArray[np.uint32]:
 _TABLES = _crc_tables()
 
 
+@kernel
 def _crc(data: Bytes, begin: Any, end: Any, crc: Any) -> Any:
     """The CRC register after these bytes: a block of them at a time ("slicing", Kounavis and Berry, ISCC 2005)."""
     k, last, block = np.uint64(begin), np.uint64(end), np.uint64(CRC_BLOCK)
@@ -62,6 +63,7 @@ def _crc(data: Bytes, begin: Any, end: Any, crc: Any) -> Any:
     return crc
 
 
+@kernel
 def _put(data: Bytes, begin: Any, end: Any, out: Bytes, code: Any, n: Any) -> tuple[Any, Any]:
     """Add bytes to `out`, whose last code byte belongs at `code` and whose next byte at `n`; return both.
 
@@ -83,6 +85,7 @@ def _put(data: Bytes, begin: Any, end: Any, out: Bytes, code: Any, n: Any) -> tu
     return code, n
 
 
+@kernel
 def _encode(
     heads: Bytes,
     size: Any,
@@ -116,6 +119,7 @@ def _encode(
         begin = stop
 
 
+@kernel
 def _uncovered(data: Bytes, begin: int, end: int) -> int:
     """Decode a chunk where it lies: what it held is from the byte behind `begin` on. Return its end, 0 if damaged."""
     removed, full, k = 0, True, begin
@@ -136,6 +140,7 @@ def _uncovered(data: Bytes, begin: int, end: int) -> int:
     return end - removed
 
 
+@kernel
 def _decode(
     data: Bytes, words: Bytes, length: int, longest: int, payload: int, overhead: int, found: Bytes, count: Bytes
 ) -> None:
@@ -214,7 +219,6 @@ def _address(array: NDArray[Any]) -> int:
 
 
 _FUNCTIONS: dict[str, Callable[..., None]] = {"encode": _encode, "decode": _decode}
-_INLINED = (_crc, _put, _uncovered)
 _SOURCES = (Path(__file__), Path(__file__).with_name("ir_by_numba.py"))
 _STORE = Store(Path(__file__).with_name("kernels"), hashed(_SOURCES, Path(__file__).parent))
 
@@ -222,13 +226,9 @@ _STORE = Store(Path(__file__).with_name("kernels"), hashed(_SOURCES, Path(__file
 def _ir(name: str) -> str:
     """The IR of a function, by numba."""
     from numba import types
-    from numba.extending import overload
 
-    from protocol.ir_by_numba import OPTIONS, ir_by_numba
+    from protocol.ir_by_numba import ir_by_numba
 
-    options: Any = OPTIONS
-    for one in _INLINED:
-        overload(one, jit_options=options, strict=False)(lambda *arguments, one=one: one)
     of: Any = types
     bytes_, words, rows, counts = (of.CPointer(kind) for kind in (of.uint8, of.uint64, of.int32, of.int64))
     kinds = {

@@ -8,8 +8,9 @@ from typing import Any
 
 import llvmlite
 import numba
+from numba.extending import overload
 
-from protocol.machine_code import ENTRY
+from protocol.machine_code import ENTRY, KERNELS
 
 OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -19,6 +20,9 @@ OPTIONS: dict[str, Any] = {
     "_nrt": False,
 }
 """Strict IEEE arithmetic in the order of the source (no fastmath, no contraction), no references to arrays counted."""
+_INLINE: Any = {**OPTIONS, "forceinline": True}
+_known: set[Callable[..., Any]] = set()
+
 VERSIONS = f"numba {numba.__version__}, llvmlite {llvmlite.__version__}"
 _NOT_FOR_ANY_MACHINE = ("; ModuleID", "source_filename", "target ", "@_ZN08NumbaEnv")
 
@@ -30,6 +34,10 @@ def ir_by_numba(function: Callable[..., None], arguments: list[Any]) -> str:
 
     No handler of a signal may raise in here: LLVM calls Python back, and drops what is raised there.
     """
+    for kernel in KERNELS:
+        if kernel not in _known:
+            _known.add(kernel)
+            overload(kernel, jit_options=_INLINE, strict=False)(_itself(kernel))
     njit: Any = numba.njit
     types: Any = numba.types
     made = njit(**OPTIONS)(function)
@@ -41,8 +49,14 @@ def ir_by_numba(function: Callable[..., None], arguments: list[Any]) -> str:
     text = re.sub(rf'@"?{name}"?(?=\()', "@kernel", text)
     lines = [line for line in text.splitlines() if not line.startswith(_NOT_FOR_ANY_MACHINE)]
     text = "\n".join([*lines, *_entry(arguments), ""])
-    text = re.sub(r'!"_Z[^"]*"', '!""', text)  # names, with numbers that go by what was compiled before
+    text = re.sub(r'!"_Z[^"]*"', '!""', text)  # descriptions
+    numbers: dict[str, str] = {}  # of functions, which go by what was compiled before: now in the order of the text
+    text = re.sub(r"B\d+v(\d+)(?=B)", lambda found: numbers.setdefault(found[1], f"v{len(numbers)}"), text)
     return text.replace(" captures(none)", "")  # LLVM before 21 does not know it
+
+
+def _itself(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda *arguments, **named: kernel
 
 
 def _entry(arguments: list[Any]) -> list[str]:

@@ -11,21 +11,43 @@ one does, for this process and those that it starts.
 from __future__ import annotations
 
 import atexit
+import ctypes
 import hashlib
 import os
+import platform
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from platformdirs import user_cache_path
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 SOURCES = "sources"  # file beside the IR: the hash of the sources that it was made of, and by which versions
+PROCESSORS = ("x86_64", "amd64", "aarch64", "arm64")
+"""Those for which LLVM puts nothing into machine code but calls of the functions of `MATHEMATICS`."""
+MATHEMATICS = ("atan2", "cos", "exp", "floor", "hypot", "log", "rint", "sin", "sincos", "sqrt")
 KEPT = 12  # folders of other sources that are left alone: branches, two checkouts
 DIGEST = hashlib.sha256().digest_size
+
+
+KERNELS: list[Callable[..., Any]] = []
+"""All functions that `kernel` marked."""
+
+
+def kernel(function: F) -> F:
+    """A function that compiled code puts into itself: strict IEEE arithmetic, no references to arrays counted.
+
+    Arithmetic keeps to the order of the source (no fastmath, no contraction), so that the compiled and the plain
+    function agree bit for bit, but where something is divided by zero: compiled that gives an infinity or NaN. It must
+    not make an array. Called from Python it is the plain function.
+    """
+    KERNELS.append(function)
+    return function
 
 
 def hashed(paths: Iterable[Path], root: Path) -> str:
@@ -74,8 +96,8 @@ class Store:
         return self._object(name).is_file()
 
     def is_shipped(self, name: str) -> bool:
-        """Whether its IR came with just these sources."""
-        return self._made_of_these and self._ir(name).is_file()
+        """Whether its IR came with just these sources, and is for such a processor."""
+        return platform.machine().lower() in PROCESSORS and self._made_of_these and self._ir(name).is_file()
 
     @cached_property
     def _made_of_these(self) -> bool:
@@ -151,6 +173,10 @@ class _Target:
 
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
+        library = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
+        for name in MATHEMATICS:  # what it does not find by itself ends the process
+            if not llvm.address_of_symbol(name) and (function := getattr(library, name, None)):
+                llvm.add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
         self._llvm, self._triple = llvm, llvm.get_process_triple()
         self._cpu, self._features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
         told = f"{llvmlite.__version__} {self._triple} {self._cpu} {self._features}"

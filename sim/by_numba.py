@@ -17,28 +17,17 @@ from numba.core.typing import templates as numba_templates
 from numba.cpython.unsafe import tuple as numba_tuple
 from numba.extending import intrinsic, lower_builtin, overload, type_callable
 
-from protocol.ir_by_numba import OPTIONS, ir_by_numba
+from protocol.ir_by_numba import ir_by_numba
 from sim.native import SCALARS, Pointer, fields_of, invoke, with_item, zeroed
-from sim.numba_cache import KERNELS
 
 types: Any = numba_types
 templates: Any = numba_templates
 tuple_setitem: Any = numba_tuple.tuple_setitem
-_INLINE: Any = {**OPTIONS, "forceinline": True}
-_known: set[Callable[..., Any]] = set()
 
 
 def ir_of(function: Callable[..., None], kinds: list[Any]) -> str:
     """The IR of a function whose arguments are of these kinds, as annotations name them."""
-    for kernel in KERNELS:
-        if kernel not in _known:
-            _known.add(kernel)
-            overload(kernel, jit_options=_INLINE, strict=False)(_itself(kernel))
     return ir_by_numba(function, [_numba_type(kind) for kind in kinds])
-
-
-def _itself(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda *arguments, **named: kernel
 
 
 @overload(with_item)

@@ -5,6 +5,7 @@ children are killed. Otherwise what they have made is on disk (`protocol.machine
 `python -m sim.compile NAME...`; it also ends when its standard input does, which it does when the parent is gone.
 
 `python -m sim.compile --ship` writes the IR that comes with the sources: to be run when a kernel was edited.
+`--ir NAME` prints that of one function.
 
 Importing this module does not import numba.
 """
@@ -45,6 +46,13 @@ class Compiled(Protocol):
     @property
     def kept(self) -> bool:
         """Whether nothing is to be compiled."""
+
+    @property
+    def key(self) -> str:
+        """What it is kept under."""
+
+    def ir(self) -> str:
+        """Its LLVM IR, by numba."""
 
     def make(self) -> None:
         """Load it; compile it here, if nothing of it is there."""
@@ -101,22 +109,34 @@ def found(name: str) -> Compiled:
 
 
 def main() -> None:
-    """Compile the functions named on the command line, as long as the parent is there; or ship all."""
+    """Compile the functions named on the command line, as long as the parent is there; or `--ir NAME`, or `--ship`."""
     if sys.argv[1:] == ["--ship"]:
-        os.environ.update(GENERIC)
         _ship()
-        return
-    threading.Thread(target=_end_with_input, daemon=True).start()
-    for name in sys.argv[1:]:
-        found(name).make()
+    elif sys.argv[1] == "--ir":
+        print(found(sys.argv[2]).ir(), end="")
+    else:
+        threading.Thread(target=_end_with_input, daemon=True).start()
+        for name in sys.argv[1:]:
+            found(name).make()
+
+
+def ir_apart(name: str) -> str:
+    """The IR of a function for any machine, by numba in a process of its own: in one it depends on what was before."""
+    command = [sys.executable, "-m", "sim.compile", "--ir", name]
+    return subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ, **GENERIC}).stdout
 
 
 def _ship() -> None:
+    os.environ.update(GENERIC)
+    from concurrent.futures import ThreadPoolExecutor
+
     from protocol.compiled_framing import ship
     from protocol.ir_by_numba import VERSIONS
 
     kernels = import_module("sim.ports.device").kernels()
-    store().ship({one.key: one.ir() for one in kernels}, VERSIONS)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        texts = list(pool.map(ir_apart, [one.name for one in kernels]))
+    store().ship({one.key: text for one, text in zip(kernels, texts, strict=True)}, VERSIONS)
     ship()
 
 

@@ -1,4 +1,4 @@
-"""The kernels' sources: the decorator that marks them, and the hash that says whether what is kept of them is stale.
+"""The kernels' sources: the hash that says whether what is kept of them is stale, and the decorator that marks them.
 
 A kernel's machine code holds all kernels that it is made of, so it is kept under a hash of every source that kernels
 are made of: any edit makes all of it anew (`protocol.machine_code`). Importing this module does not import numba.
@@ -8,17 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
 from uuid import uuid4
 
-from protocol.machine_code import Store, hashed
+from protocol.machine_code import Store, hashed, kernel
 
-__all__ = ["KERNELS", "kernel", "source_hash", "source_stamp", "store"]
-
-F = TypeVar("F", bound=Callable[..., Any])
+__all__ = ["kernel", "source_hash", "source_stamp", "store"]
 
 _HERE = Path(__file__).parent
 SHIPPED = _HERE / "kernels"
@@ -77,18 +73,3 @@ def source_stamp(module: str) -> str:
     for path in paths:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
-
-
-KERNELS: list[Callable[..., Any]] = []
-"""All functions that `kernel` marked."""
-
-
-def kernel(function: F) -> F:
-    """A function that compiled code puts into itself: strict IEEE arithmetic, no references to arrays counted.
-
-    Arithmetic keeps to the order of the source (no fastmath, no contraction), so that the compiled and the plain
-    function agree bit for bit, but where something is divided by zero: compiled that gives an infinity or NaN. It must
-    not make an array. Called from Python it is the plain function.
-    """
-    KERNELS.append(function)
-    return function

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -19,6 +20,10 @@ from bench.files import RRD, STANDARD_OUTPUT
 from bench.record.ring import LEAST, SHORTEST
 from bench.signal.sources import source_number
 from protocol.signals import SOURCE_NAMES
+
+if TYPE_CHECKING:
+    from bench.device.simulator import EmbeddedDrive
+    from bench.rig.settings import Settings
 
 
 class Observer(click.Choice[str]):
@@ -86,7 +91,6 @@ def command(target: str | None, json_file: Path | None, config: Path | None, ope
       bench live serial:/dev/ttyACM0 --speed 500 --yes --duration 20 --save a.run --viewer none
       bench live sim --speed 1000 --load 4 --observer average-speed
     """
-    from bench.live import run as live
     from bench.live.triggers import Condition
 
     _check(target, config, given)
@@ -97,7 +101,22 @@ def command(target: str | None, json_file: Path | None, config: Path | None, ope
     from bench.rig.settings import read_settings
 
     station = read_settings(None)
-    settings = replace(station, operator=operator or station.operator, config=config)
+    with ExitStack() as stack:
+        drive = None
+        if target in (None, "sim"):  # it starts while this process still loads what it needs
+            from bench.device.simulator import EmbeddedDrive
+
+            drive = EmbeddedDrive(config)
+            stack.callback(drive.end)
+        _run(target, replace(station, operator=operator or station.operator, config=config), given, json_file, drive)
+
+
+def _run(
+    target: str | None, settings: Settings, given: dict[str, Any], json_file: Path | None, drive: EmbeddedDrive | None
+) -> NoReturn:
+    """Run it, and exit."""
+    from bench.live import run as live
+
     options = live.LiveOptions(target=target, settings=settings, **given)
     from bench.cli.output import Progress, pairs, table
     from bench.live.summary import ASKED_HEADERS, ERROR_HEADERS, Summary, asked_rows, error_rows, run_rows
@@ -120,7 +139,7 @@ def command(target: str | None, json_file: Path | None, config: Path | None, ope
 
     with Progress() as screen:
         confirm = screen.confirm if sys.stdin.isatty() else None
-        ended = live.run(options, screen, confirm, report, hold=sys.stdin.isatty() and sys.stderr.isatty())
+        ended = live.run(options, screen, confirm, report, sys.stdin.isatty() and sys.stderr.isatty(), drive)
     if unwritten and ended.exit_code == 0:
         raise unwritten[0]
     for error in unwritten:

@@ -41,13 +41,13 @@ class EmbeddedDrive:
 
     The figures are those of the file `config`; without one, the default ones with a watchdog of 1 s.
 
-    `note` gets what the child says before it is ready: that it compiles, when numba's cache is cold. Raises BenchError
-    with the child's own words if it does not start.
+    It starts when this is made; to enter the context waits until it is ready. `note` gets what the child says before
+    that: that it compiles, on the first start. Raises BenchError with the child's own words if it does not start.
     """
 
     def __init__(self, config: Path | str | None = None, note: Callable[[str], None] = lambda text: None) -> None:
         self.target = ""
-        self._note = note
+        self.note = note
         arguments = ("--config", str(config)) if config else PATIENT
         self._process = subprocess.Popen(
             [sys.executable, "-m", "bench", "sim", "--tcp", "127.0.0.1:0", "--exit-with-parent", *arguments],
@@ -62,11 +62,15 @@ class EmbeddedDrive:
         try:
             self.target = self._await_target()
         except BaseException:
-            self.__exit__()
+            self.end()
             raise
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """End the child, and wait for that."""
         if self._process.stdin:
             self._process.stdin.close()
         self._process.terminate()
@@ -85,5 +89,5 @@ class EmbeddedDrive:
                 if words.startswith("target: "):
                     return words.removeprefix("target: ")
                 if not words.startswith("error: "):
-                    self._note(words)
+                    self.note(words)
         raise BenchError(words.removeprefix("error: "))

@@ -461,12 +461,13 @@ def run(
     confirm: Callable[[str], bool] | None,
     report: Callable[[Summary], None],
     hold: bool = False,
+    drive: EmbeddedDrive | None = None,
 ) -> LiveOutcome:
     """Run `bench live`.
 
     `confirm` asks a person, None where there is nobody; `report` gets the summary when the motor is off; `hold` keeps
-    the live view up after that. Raises BenchError and HbpError for what the user can mend. However this is left, STOP
-    was sent, or could not be sent and the note says so.
+    the live view up after that; `drive`: the embedded one, if it was started already. Raises BenchError and HbpError
+    for what the user can mend. However this is left, STOP was sent, or could not be sent and the note says so.
     """
     require_viewable(options.save, options.viewer)
     if options.save is not None:
@@ -482,7 +483,9 @@ def run(
         if options.embedded:
             if options.save is not None or options.viewer != "none":
                 load_beside(options.viewer != "none")
-            target = stack.enter_context(EmbeddedDrive(options.settings.config, screen.note)).target
+            drive = drive or EmbeddedDrive(options.settings.config)
+            drive.note = screen.note
+            target = stack.enter_context(drive).target
         held = nullcontext() if options.embedded else alone_on(target)
         plan = Plan(
             lambda: open_link(target), target, options.settings,
