@@ -21,7 +21,7 @@ DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
 MOST_PARAMETERS = 8
 MOST_LINES = 80
 COMPILED = {"kernel", "native", "intrinsic", "overload"}
-MOST_CODE_LINES = {"bench": 30600, "sim": 8220, "protocol": 5100, "tests": 36000}
+MOST_CODE_LINES = {"bench": 30700, "sim": 8350, "protocol": 5100, "tests": 36150}
 """Whoever raises one says so in the commit."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -33,9 +33,12 @@ def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`angle` (n,) in rad, finite, followed over its wraps: as `numpy.unwrap`, which computes each step as one."""
+    """`angle` (n,) in rad, followed over its wraps; NaN from the first that is not finite on.
+
+    To the last bit as `numpy.unwrap` has it, which computes each step as if it were a wrap.
+    """
     step = np.diff(angle)
-    at = np.flatnonzero(np.abs(step) >= math.pi)
+    at = np.flatnonzero(~(np.abs(step) < math.pi))
     turn = wrap(step[at])
     turn[(turn == -math.pi) & (step[at] > 0.0)] = math.pi
     turns = np.concatenate([[0.0], np.cumsum(turn - step[at])])

@@ -11,7 +11,7 @@ from bench.replay.estimators import Estimate
 from bench.score.phases import Phases
 from bench.score.tally import Block, OverTime, Tally
 from bench.signal.error_bins import BINS
-from bench.signal.position import unwrapped
+from bench.signal.position import unwrapped, wrap
 from sim.observers.against import PORTION
 
 RATE, POLE_PAIRS, OFFSET, EVERY = 16_000.0, 5, 0.3, 700
@@ -148,3 +148,24 @@ def test_an_angle_is_followed_as_numpy_does(step: float) -> None:
     for n in (1, 2, 3000):
         angle = (np.cumsum(way[:n]) + math.pi) % math.tau - math.pi
         assert np.array_equal(unwrapped(angle), np.unwrap(angle))
+        angle[n // 2] = math.nan
+        assert np.array_equal(unwrapped(angle), np.unwrap(angle), equal_nan=True)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("most", [0.1, math.pi, 6.2, 9.5, 100.0])
+def test_angles_are_wrapped_to_the_last_bit_as_by_the_remainder(dtype: type[np.floating], most: float) -> None:
+    angle = np.random.default_rng(3).uniform(-most, most, 5000).astype(dtype)
+    edge = dtype(math.pi)
+    angle[:6] = (
+        0.0,
+        edge,
+        -edge,
+        np.nextafter(edge, dtype(4)),
+        np.nextafter(-edge, dtype(-4)),
+        np.nextafter(-edge, dtype(0)),
+    )
+    remainder = (angle + math.pi) % math.tau - math.pi
+    assert wrap(angle).tobytes() == remainder.tobytes()
+    angle[7] = math.inf
+    assert np.isnan(wrap(angle)[7])
