@@ -99,6 +99,7 @@ class _Teller:
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         """Show what there is, where only that was asked for."""
+        gc.freeze()  # modules and tests, which each full collection would go through again
         items = [item for item in session.items if is_acceptance_test(item)]
         self._total = len(items)
         if self._list_only and items:
@@ -168,6 +169,7 @@ def accept(options: AcceptOptions, screen: Screen) -> tuple[RunResult | None, in
     teller = _Teller(screen, options.list_only)
     with _no_foreign_settings():
         code = pytest.main(_arguments(options), plugins=[teller])
+    gc.unfreeze()
     gc.collect()  # who runs it often holds the samples of all runs otherwise: they are in circles
     if teller.problems:
         raise BenchError("; ".join(teller.problems))

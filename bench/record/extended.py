@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bench.device.losses import Continuity
 from bench.errors import RecordingError
@@ -20,10 +23,11 @@ from bench.record.folder import RunFolder, SegmentFile
 from bench.record.info import RunInfo, stream_to_json
 from bench.record.overview import Overview
 from bench.record.reader import Run, Segment, ahead
+from bench.signal.chunks import with_columns
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
-More = Callable[[SampleChunk], SampleChunk]
-"""Gives samples with further channels at the end of their records."""
+More = Callable[[SampleChunk], Sequence[NDArray[np.generic]]]
+"""Gives the raw values of the further channels at the samples of a chunk, (n,) each."""
 
 
 class Extension:
@@ -106,12 +110,12 @@ class Extension:
         overview = SegmentFile(self._folder.path, layout.OVERVIEW, number, self._more_overview.columns, "host")
 
         read = ahead(segment.pieces(layout.SAMPLES, config=self._narrow))
-        made = (more(continuity.chunk(chunk)) for chunk in read if isinstance(chunk, SampleChunk))
-        for whole in ahead(made):  # one is read, one made, one written
-            first, last = int(whole.tick[0]), int(whole.tick[-1])
-            added.add(layout.channel_table(whole, self._more), first, last)
-            overview.add(self._more_overview.table(whole), first, last)
-            self._written[layout.SAMPLES] += len(whole)
+        chunks = (continuity.chunk(chunk) for chunk in read if isinstance(chunk, SampleChunk))
+        for chunk, columns in ahead((chunk, more(chunk)) for chunk in chunks):  # one is read, one made, one written
+            first, last = int(chunk.tick[0]), int(chunk.tick[-1])
+            added.add(layout.table_of(self._more, columns), first, last)
+            overview.add(self._more_overview.table(chunk, columns), first, last)
+            self._written[layout.SAMPLES] += len(chunk)
         return [*files, added.finish(), overview.finish()]
 
     def _rewritten(self, number: int, segment: Segment, continuity: Continuity, more: More) -> list[dict[str, Any]]:
@@ -126,7 +130,7 @@ class Extension:
             for chunk in segment.pieces(name):
                 chunk = continuity.chunk(chunk)
                 if name == layout.SAMPLES and isinstance(chunk, SampleChunk):
-                    chunk = more(chunk)
+                    chunk = with_columns(chunk, self._config, more(chunk))
                     self._written[name] += len(chunk)
                     add(layout.OVERVIEW, self._overview.columns, self._overview.table(chunk), chunk)
                 add(name, self._columns[name], layout.to_table(chunk, self._columns[name]), chunk)

@@ -10,7 +10,6 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,9 @@ from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
 MAGIC = b"HBJ1"
 _FRAME = struct.Struct("<4sIII")  # magic, CRC-32 of the rest, number of the stream, bytes that follow
+_CRC, _REST = struct.Struct("<I"), struct.Struct("<II")  # of it
 _COUNTS = struct.Struct("<III")  # rows, runs, gaps
+_RUN_FIELDS, _GAP_FIELDS = struct.Struct("<qqq"), struct.Struct("<qqqq")
 _CHECKED = 8  # where what the CRC covers begins
 _RUN = np.dtype([("row", "<i8"), ("index", "<i8"), ("tick", "<i8")])
 _GAP = np.dtype([("position", "<i8"), ("lost", "<i8"), ("frames", "<i8"), ("overrun", "<i8")])
@@ -40,18 +41,18 @@ class Journalled:
 
 def frame(number: int, chunk: SampleChunk | EdgeChunk) -> bytes:
     """A chunk of stream `number`, with one row or more, as a frame."""
-    runs, rows = np.empty(0, _RUN), b""
     if isinstance(chunk, SampleChunk):
         runs, rows = _runs(chunk), chunk.raw.tobytes()
     else:
         edges = np.empty(len(chunk), _EDGE)
         for name in _EDGE.names or ():
             edges[name] = getattr(chunk, name)
-        rows = edges.tobytes()
-    gaps = np.array([(g.position, g.lost_samples, g.lost_frames, g.overrun) for g in chunk.gaps], _GAP)
-    body = b"".join((_COUNTS.pack(len(chunk), len(runs), len(gaps)), runs.tobytes(), gaps.tobytes(), rows))
-    rest = struct.pack("<II", number, len(body)) + body
-    return MAGIC + struct.pack("<I", zlib.crc32(rest)) + rest
+        runs, rows = b"", edges.tobytes()
+    gaps = b"".join(_GAP_FIELDS.pack(g.position, g.lost_samples, g.lost_frames, g.overrun) for g in chunk.gaps)
+    counts = _COUNTS.pack(len(chunk), len(runs) // _RUN.itemsize, len(chunk.gaps))
+    body = counts + runs + gaps
+    rest = _REST.pack(number, len(body) + len(rows)) + body
+    return b"".join((MAGIC, _CRC.pack(zlib.crc32(rows, zlib.crc32(rest))), rest, rows))
 
 
 def read(data: bytes, streams: Mapping[int, StreamConfig]) -> Journalled:
@@ -89,14 +90,13 @@ def _next_whole(data: bytes, start: int) -> int | None:
     return None
 
 
-def _runs(chunk: SampleChunk) -> NDArray[Any]:
+def _runs(chunk: SampleChunk) -> bytes:
     """Where index or tick do not go on as before: row, index, tick."""
     step, ticks = _steps(chunk.config)
-    new = (np.diff(chunk.index) != step) | (np.diff(chunk.tick) != ticks)
-    rows = np.concatenate([[0], np.flatnonzero(new) + 1])
-    runs = np.empty(len(rows), _RUN)
-    runs["row"], runs["index"], runs["tick"] = rows, chunk.index[rows], chunk.tick[rows]
-    return runs
+    index, tick = chunk.index, chunk.tick
+    new = (index[1:] - index[:-1] != step) | (tick[1:] - tick[:-1] != ticks)
+    rows = [0, *(new.nonzero()[0] + 1).tolist()]
+    return b"".join(_RUN_FIELDS.pack(row, int(index[row]), int(tick[row])) for row in rows)
 
 
 def _steps(config: StreamConfig) -> tuple[int, int]:

@@ -213,13 +213,6 @@ def joined(tables: Sequence[pa.Table]) -> pa.Table:
     return pa.concat_tables(tables)
 
 
-def channel_table(chunk: SampleChunk, columns: Columns) -> pa.Table:
-    """The channels of samples that have a column in `columns`, and nothing else."""
-    names = {column_of(name): name for name in chunk.raw.dtype.names or ()}
-    arrays = [np.ascontiguousarray(chunk.raw[names[column]]) for column in columns.schema.names]
-    return table_of(columns, arrays)
-
-
 def to_chunk(table: pa.Table, config: StreamConfig) -> SampleChunk | EdgeChunk:
     """The inverse of `to_table`. A bool column of edges and all of samples are copied, once."""
     arrays = {name: numbers(table.column(name)) for name in table.column_names}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,28 +40,31 @@ class Overview:
             fields += [pa.field(f"{ERROR}{name}.{end}", pa.float32(), False, about) for end in ("min", "max")]
         self.columns = layout.columns_of(fields, {"run": run.to_json(), "bin_s": BIN})
 
-    def table(self, chunk: SampleChunk) -> pa.Table:
-        """Of samples, one or more, whose ticks rise; each bin at its first sample. Floats may be anything."""
-        with np.errstate(invalid="ignore", over="ignore"):
-            return self._table(chunk)
+    def table(self, chunk: SampleChunk, beside: Sequence[NDArray[np.generic]] = ()) -> pa.Table:
+        """Of samples, one or more, whose ticks rise; each bin at its first sample. Floats may be anything.
 
-    def _table(self, chunk: SampleChunk) -> pa.Table:
+        `beside`: raw values of the channels that are looked at, (n,) each, where the chunk does not have them.
+        """
+        raw = {channel.name: values for channel, values in zip(self._channels, beside, strict=False)}
+        raw = raw or {channel.name: np.ascontiguousarray(chunk.raw[channel.name]) for channel in self._channels}
+        with np.errstate(invalid="ignore", over="ignore"):
+            return self._table(chunk, raw)
+
+    def _table(self, chunk: SampleChunk, raw: Mapping[str, NDArray[Any]]) -> pa.Table:
         starts = np.concatenate([[0], np.flatnonzero(np.diff(chunk.tick // self._ticks)) + 1])
         columns: list[NDArray[Any]] = [chunk.tick[starts]] if self._timed else []
-        for channel in self._channels:
-            values = np.ascontiguousarray(chunk.raw[channel.name])
+        for values in (*raw.values(), *self._errors(chunk, raw)):
             columns += [np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)]
-        for error in self._errors(chunk):
-            columns += [np.minimum.reduceat(error, starts), np.maximum.reduceat(error, starts)]
         return layout.table_of(self.columns, columns)
 
-    def _errors(self, chunk: SampleChunk) -> Iterator[F32]:
+    def _errors(self, chunk: SampleChunk, raw: Mapping[str, NDArray[Any]]) -> Iterator[F32]:
         """Each estimate's error in degrees."""
         reference = self._run.position_reference
         if self._estimates and reference is not None:
-            actual = _single(chunk, reference)
+            actual = _single(chunk.config.channel(reference), chunk.raw[reference])
+            channels = {channel.name: channel for channel in self._channels}
             for name in self._estimates:
-                yield position_error(actual, _single(chunk, name)) * np.float32(180 / np.pi)
+                yield position_error(actual, _single(channels[name], raw[name])) * np.float32(180 / np.pi)
 
 
 def coarser(table: pa.Table, bins: int) -> pa.Table:
@@ -77,8 +80,7 @@ def coarser(table: pa.Table, bins: int) -> pa.Table:
     return pa.table([pa.array(column) for column in columns], schema=table.schema)
 
 
-def _single(chunk: SampleChunk, name: str) -> F32:
-    """A channel in its unit, as a picture needs it."""
-    channel = chunk.config.channel(name)
-    values: F32 = np.multiply(chunk.raw[name], np.float32(channel.scale), dtype=np.float32)
+def _single(channel: AnyChannel, raw: NDArray[Any]) -> F32:
+    """Raw values of a channel in its unit, as a picture needs them."""
+    values: F32 = np.multiply(raw, np.float32(channel.scale), dtype=np.float32)
     return values + np.float32(channel.offset)

@@ -325,6 +325,8 @@ class Run:
         tick, index = piece.tick, piece.index
         if before is not None:
             tick, index = np.append(before[0], tick), np.append(before[1], index)
+        if piece.config.channels and not np.ptp(tick - index * piece.config.period_ticks):
+            return
         went = np.diff(tick)
         due = np.diff(index) * piece.config.period_ticks if piece.config.channels else np.maximum(went, 0)
         off = went - due

@@ -10,9 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bench.record.info import HOST_SUFFIX
-from bench.replay.estimators import Estimators, raw_counts
-from bench.signal.chunks import with_columns
+from bench.replay.estimators import PORTION, Estimators, raw_counts
+from bench.signal.chunks import part, with_columns
 from protocol.descriptor import Channel
 from protocol.signals import ANGLE, SPEED, Flag, RawType, Signal, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -58,11 +61,18 @@ class Augmenter:
 
     def samples(self, chunk: SampleChunk) -> SampleChunk:
         """The chunk, one sample or more, with the host's estimates as further channels."""
-        config = self._config(chunk.config)
-        found = self.estimators.samples(chunk)
-        columns = [column for entry in self.estimators.entries for column in found[entry.name]]
-        raw = (raw_counts(channel, column) for channel, column in zip(self.channels, columns, strict=True))
-        return with_columns(chunk, config, raw)
+        return with_columns(chunk, self._config(chunk.config), self.columns(chunk))
+
+    def columns(self, chunk: SampleChunk) -> list[NDArray[np.generic]]:
+        """Raw values of the further channels at the samples of the chunk, one or more, (n,) each."""
+        columns: list[NDArray[np.generic]] = [np.empty(len(chunk), channel.raw.dtype) for channel in self.channels]
+        for first in range(0, len(chunk), PORTION):
+            rows = slice(first, first + PORTION)
+            found = self.estimators.samples(part(chunk, rows.start, rows.stop))
+            values = [value for entry in self.estimators.entries for value in found[entry.name]]
+            for channel, column, value in zip(self.channels, columns, values, strict=True):
+                column[rows] = raw_counts(channel, value)
+        return columns
 
     def _config(self, config: StreamConfig) -> StreamConfig:
         if config not in self._configs:

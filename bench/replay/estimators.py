@@ -10,22 +10,22 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
 from bench.replay.current_error import CurrentError
-from bench.signal.chunks import breaks
+from bench.signal.chunks import breaks, part
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from protocol.text import did_you_mean
-from sim.native import layout
+from sim.native import address, layout
 from sim.observers import hall_speed, sample
 from sim.observers.catalogue import BROKEN, CATALOGUE
 from sim.observers.entry import CURRENT, VOLTAGE, Entry, chosen, missing
@@ -36,7 +36,10 @@ current error is taken as 0; what an observer needs of the others, its entry say
 CHECKED = {channel: (entry.name, field) for entry in CATALOGUE.values() for channel, field in entry.channels.items()}
 """The channels that carry an observer's results: its name, and the field of its estimates."""
 WORTH_THREADS = 8000  # samples from which on it pays to run observers side by side
+PORTION = 1 << 13  # samples that they run over at a time: what stays in the cache
 MEASURED, EDGE = layout(sample.Measured), layout(hall_speed.Edge)
+T = TypeVar("T")
+R = TypeVar("R")
 F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Records = NDArray[np.void]
@@ -119,6 +122,7 @@ class _Kernels:
         }
         self._current_error = CurrentError(parameters, stream.pwm_hz)
         self._edges: Records = np.empty(0, EDGE)
+        self._measured: Records = np.empty(0, MEASURED)  # what is not fed stays 0
         self.seconds = dict.fromkeys(self._observers, 0.0)
         self.front_seconds = 0.0
         self.steps = 0
@@ -136,7 +140,18 @@ class _Kernels:
 
     def run(self, chunk: SampleChunk, reset: Flags) -> dict[str, Records]:
         """The observers' estimates at the samples of `chunk` by name; `reset` (n,): where they are initialised."""
-        measured = np.zeros(len(chunk), MEASURED)
+        found = {name: np.empty(len(chunk), observer.dtype) for name, observer in self._observers.items()}
+        for first in range(0, len(chunk), PORTION):
+            rows = slice(first, first + PORTION)
+            self._portion(
+                part(chunk, rows.start, rows.stop), reset[rows], {name: of[rows] for name, of in found.items()}
+            )
+        return found
+
+    def _portion(self, chunk: SampleChunk, reset: Flags, found: Mapping[str, Records]) -> None:
+        if len(self._measured) < len(chunk):
+            self._measured = np.zeros(len(chunk), MEASURED)
+        measured = self._measured[: len(chunk)]
         measured["tick"], measured["hall"] = chunk.tick, chunk.raw["hall"]
         for name in self._fed:
             measured[name] = chunk.physical(name)
@@ -148,18 +163,19 @@ class _Kernels:
         samples = self._front.run(measured, due, reset)
         self.front_seconds += time.thread_time() - begun
 
-        def observe(name: str) -> Records:
+        def observe(name: str) -> None:
             begun = time.thread_time()
-            found = self._observers[name].run(samples, reset)
+            self._observers[name].step_over(address(samples), address(reset), len(reset), address(found[name]))
             self.seconds[name] += time.thread_time() - begun
-            return found
 
         # the first time they are compiled or loaded, which is this thread's to do
-        side_by_side = self.steps > 0 and len(reset) >= WORTH_THREADS
-        found = _threads().map(observe, self._observers) if side_by_side else map(observe, self._observers)
-        estimates = dict(zip(self._observers, found, strict=True))
+        side_by_side(observe, self._observers, len(reset) if self.steps else 0)
         self.steps += len(reset)
-        return estimates
+
+
+def side_by_side(action: Callable[[T], R], items: Iterable[T], n: int) -> list[R]:
+    """What `action` gives of each item, by threads if it goes through enough samples, n, without the interpreter."""
+    return list(_threads().map(action, items) if n >= WORTH_THREADS else map(action, items))
 
 
 @cache
@@ -321,10 +337,11 @@ def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
     dtype = np.dtype(channel.raw.dtype)
     if channel.raw == RawType.F32:
         return ((values - channel.offset) / channel.scale).astype(dtype)
-    counts = np.rint((values - channel.offset) * (1.0 / channel.scale))
+    counts = (values - channel.offset if channel.offset else values) * (1.0 / channel.scale)
+    np.rint(counts, out=counts)
     if not channel.flags & Flag.WRAPS:
         info = np.iinfo(dtype)
-        counts = np.clip(counts, info.min, info.max)
+        np.minimum(np.maximum(counts, info.min, out=counts), info.max, out=counts)
     return counts.astype(np.int64).astype(dtype)
 
 

@@ -13,6 +13,9 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bench.errors import BenchError
 from bench.files import RUN, check_output
 from bench.record.extended import Extension
@@ -103,9 +106,9 @@ def replay(
     )
     counted = _Counted()
 
-    def more(chunk: SampleChunk) -> SampleChunk:
+    def more(chunk: SampleChunk) -> list[NDArray[np.generic]]:
         counted.add(chunk)
-        return augmenter.samples(chunk)
+        return augmenter.columns(chunk)
 
     def edges(chunk: EdgeChunk) -> None:
         counted.add(chunk)

@@ -8,6 +8,7 @@ Nothing here knows a unit.
 from __future__ import annotations
 
 import math
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,14 @@ class LagBySpeed:
             part._span = float(omega.min()), float(omega.max())
             self.merge(part)
 
+    @classmethod
+    def of(cls, n: float, omega: float, error: float, square: float, product: float, *span: float) -> Self:
+        """That of n samples: means, sums about them of speed by speed and speed by error, slowest and fastest."""
+        made = cls()
+        made._n, made._mean, made._square, made._product = int(n), np.array([omega, error]), square, product
+        made._span = span[0], span[1]
+        return made
+
     def merge(self, other: LagBySpeed) -> None:
         """Add those that another has."""
         total = self._n + other._n
@@ -76,16 +85,19 @@ class Changes:
     def __init__(self, actual: F64, where: Flags, rate: float) -> None:
         self.rate, self.where = rate, where
         slope = np.gradient(actual) * rate if len(actual) > 1 else np.zeros(len(actual))
-        self._slope = self._windows(slope, 0)
-        a, b, s, t = self._windows(actual, 0), self._windows(actual, 1), self._slope, self._windows(slope, 1)
-        count = where.astype(np.float64)
-        self._own = np.stack([self._correlated(count, of) for of in (s * a, s * b + t * a, s * s, s * t)])
+        rows = self._rows(where.astype(np.float64))
+        self._used = rows.any(axis=1)
+        count = np.conj(self._spectra(rows[self._used]))
+        a, s, b, t = (self._windows(of, ahead)[self._used] for ahead in (0, 1) for of in (actual, slope))
+        self._slope = self._spectra(s)
+        self._own = [(count * self._spectra(of)).sum(axis=0) for of in (s * a, s * b + t * a, s * s, s * t)]
 
     def against(self, estimate: F64) -> Spectra:
         """What `LagInTime` takes of an estimate (n,), finite `where` it counts."""
         weighted = np.zeros(len(estimate))
         weighted[self.where] = estimate[self.where]
-        return np.concatenate([self._own, self._correlated(weighted, self._slope)[None]])
+        found = np.conj(self._spectra(self._rows(weighted)[self._used])) * self._slope
+        return np.stack([*self._own, found.sum(axis=0)])
 
     def _windows(self, values: F64, ahead: int) -> F64:
         """Stretches of `values`, `ahead` samples later, each with all that a hop of estimates is compared with."""
@@ -94,13 +106,14 @@ class Changes:
         padded = np.pad(values, (far, n - len(values) + far + 2), "edge")[ahead:]
         return np.lib.stride_tricks.sliding_window_view(padded, hop + 2 * far)[:n:hop]
 
-    def _correlated(self, weights: F64, windows: F64) -> Spectra:
-        """Spectrum of the sums over t of weights[t] values[t + m], for m from -far up."""
-        _, size, hop = sizes(self.rate)
-        rows = np.pad(weights, (0, len(windows) * hop - len(weights))).reshape(-1, hop)
-        used = rows.any(axis=1)
-        found: Spectra = (np.conj(np.fft.rfft(rows[used], size)) * np.fft.rfft(windows[used], size)).sum(axis=0)
-        return found
+    def _rows(self, values: F64) -> F64:
+        """Values by the stretch that they are compared with."""
+        _, _, hop = sizes(self.rate)
+        return np.pad(values, (0, -len(values) % hop)).reshape(-1, hop)
+
+    def _spectra(self, rows: F64) -> Spectra:
+        """Spectra of rows; weights' conjugate times values' is that of the sums over t of weights[t] values[t + m]."""
+        return np.fft.rfft(rows, sizes(self.rate)[1])
 
 
 def reach(rate: float) -> int:

@@ -7,13 +7,13 @@ changes (`turns_of`). All else depends on what is within `CONTEXT` only, so a re
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.signal.position import unwrapped
 from bench.signal.units import RPM
 
 F64 = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Phases:
 
 def speed_of(theta: F64, rate: float) -> F64:
     """Speed (n,), rad/s, of the angle `theta` (n,) rad, wrapped or not, at `rate` samples a second without a gap."""
-    return _difference(np.unwrap(theta), SPEED_WINDOW, rate)
+    return _difference(unwrapped(theta), SPEED_WINDOW, rate)
 
 
 @dataclass(frozen=True)
@@ -119,21 +119,14 @@ def phases_with(turns: Turns, omega: F64, usable: Flags, rate: float, pole_pairs
     return Phases(moving, free & ~changing, free & changing, start_up, reversal, *within)
 
 
-def speed_bins(rpm: F64) -> dict[str, NDArray[np.int64]]:
-    """Positions of the speeds `rpm` (n,) by bin, as "350_to_750" or "-750_to_-350", from the lowest up; bins without
-    samples are left out.
-    """
-    number = np.sign(rpm).astype(np.int64) * np.digitize(np.abs(rpm), SPEED_EDGES)  # 0: at rest
-    return {_bin_name(k): np.flatnonzero(number == k) for k in np.unique(number).tolist() if k}
+def speed_numbers(rpm: F64) -> I64:
+    """The bin of each of the speeds `rpm` (n,), negative in reverse; 0: at rest."""
+    numbers: I64 = np.sign(rpm).astype(np.int64) * np.digitize(np.abs(rpm), SPEED_EDGES)
+    return numbers
 
 
-def in_order(names: Iterable[str]) -> list[str]:
-    """Names of `speed_bins`, from the lowest up."""
-    every = [_bin_name(k) for k in range(-len(SPEED_EDGES), len(SPEED_EDGES) + 1) if k]
-    return sorted(names, key=every.index)
-
-
-def _bin_name(number: int) -> str:
+def speed_bin(number: int) -> str:
+    """Name of a bin of the speed, as "350_to_750" or "-750_to_-350"."""
     k = abs(number)
     lo, hi = (f"{SPEED_EDGES[j]:g}" if j < len(SPEED_EDGES) else "up" for j in (k - 1, k))
     return f"{lo}_to_{hi}" if number > 0 else f"-{hi}_to_-{lo}"
@@ -141,10 +134,16 @@ def _bin_name(number: int) -> str:
 
 def _difference(values: F64, window: float, rate: float) -> F64:
     """Central difference quotient over `window` s; one-sided at the ends."""
-    n, half = len(values), max(1, round(0.5 * window * rate))
-    index = np.arange(n)
-    after, before = np.minimum(index + half, n - 1), np.maximum(index - half, 0)
-    quotient: F64 = (values[after] - values[before]) * rate / np.maximum(after - before, 1)
+    n = len(values)
+    half = min(max(1, round(0.5 * window * rate)), n)
+    quotient = np.empty(n)
+    inner, ends = slice(half, n - half), np.concatenate([np.arange(half), np.arange(max(half, n - half), n)])
+    if n > 2 * half:
+        np.subtract(values[2 * half :], values[: n - 2 * half], out=quotient[inner])
+        quotient[inner] *= rate
+        quotient[inner] /= 2 * half
+    after, before = np.minimum(ends + half, n - 1), np.maximum(ends - half, 0)
+    quotient[ends] = (values[after] - values[before]) * rate / np.maximum(after - before, 1)
     return quotient
 
 

@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.findings.late import blame
 from bench.record.info import HOST_SUFFIX
-from bench.record.reader import Run, captures
+from bench.record.reader import Run, ahead, captures
 from bench.record.recording import Source, readable
 from bench.record.times import ticks_between
-from bench.replay.estimators import INPUTS, Estimate, Estimators, all_for, done_without
+from bench.replay.estimators import INPUTS, Estimate, Estimators, all_for, done_without, side_by_side
 from bench.replay.replay import ENDS_EARLY, checked_settings, not_replayable
 from bench.score.course import Course, Stretch, survey
 from bench.score.phases import CONTEXT, phases_with, speed_of
 from bench.score.reference import AUTO, EDGES, ENCODER, NOT_SEEN, Pieces, Reference, reference_of
-from bench.score.tally import Block, Envelope, OverTime, Tally, error_of
+from bench.score.tally import Block, Envelope, OverTime, Tally
 from bench.signal.delays import delays_of
 from bench.signal.position import Moments
 from bench.signal.trace import STATOR, Trace
@@ -187,7 +187,7 @@ def _track(
     wanted = {*told, *estimates, *(name for name in (*INPUTS, *STATOR) if name in there)}
     scored = _Scored(course, kinds, reference, config.rate, parameters)
     trace = Trace()
-    for window in windows(pieces(channels=wanted), CONTEXT):
+    for window in ahead(windows(pieces(channels=wanted), CONTEXT)):
         if reference.kind == ENCODER:
             trace.add(window)
         found = _estimates(window.samples, recorded)
@@ -273,12 +273,16 @@ class _Scored:
                 self.actual.add(block.points, block.omega[block.own] * block.rpm_by)
                 if spread := self._reference.sd_channel:
                     self.sd.add(np.degrees(window.capture.samples.physical(spread)[own]))
-                for name, estimate in estimates.items():
-                    part = Estimate(*(values[own.start - begin : own.stop - begin] for values in estimate))
-                    degrees = error_of(block, part)
-                    self.tallies[name].add(block, part, degrees)
-                    self.over_time[name].add(block, part, degrees)
+                at = slice(own.start - begin, own.stop - begin)
+                self._add(block, {name: Estimate(*(values[at] for values in its)) for name, its in estimates.items()})
         self._seen += window.own.stop - begin
+
+    def _add(self, block: Block, estimates: Mapping[str, Estimate]) -> None:
+        def add(name: str) -> None:
+            self.tallies[name].add(block, estimates[name], self.over_time[name])
+
+        block.keys  # noqa: B018 - which all share
+        side_by_side(add, estimates, len(block.points))
 
     def _block(
         self, stretch: Stretch, theta: F64, usable: NDArray[np.bool_], rows: slice, own: slice, first: int

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.signal.channels import reference_angle, speed_channel
 from bench.signal.chunks import as_bytes, between, join, part, streams_none
-from bench.signal.position import position_error
+from bench.signal.position import position_error, unwrapped
 from protocol.frames import data_frame
 from protocol.signals import Flag
 from protocol.streams import EdgeChunk, Gap, SampleChunk
@@ -171,7 +171,7 @@ class Capture:
     @cached_property
     def theta(self) -> F64:
         """Electrical angle by the encoder, unwrapped, rad, shape (n,)."""
-        return np.unwrap(self[self.reference])
+        return unwrapped(self[self.reference])
 
     def position_error(self, estimate: str) -> F64:
         """Actual minus estimated electrical angle, rad in [-pi, pi), shape (n,)."""

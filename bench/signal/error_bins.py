@@ -30,13 +30,24 @@ PERCENTILE = 99.0
 class Errors:
     """Figures of an error in its own unit."""
 
-    def __init__(self) -> None:
-        self._moments, self._sizes = Moments(), Percentiles()
+    def __init__(self, counts: I64 | None = None) -> None:
+        """`counts`: see `Percentiles`."""
+        self._moments, self._sizes = Moments(), Percentiles(counts)
 
     def add(self, error: F64) -> None:
         """Add samples of it, (n,)."""
         self._moments.add(error)
         self._sizes.add(np.abs(error))
+
+    def counted(self, moments: Moments, beyond: F64) -> None:
+        """Add samples that have been counted, see `Percentiles`."""
+        self._moments.merge(moments)
+        self._sizes.counted(moments.n, beyond)
+
+    @property
+    def least(self) -> float:
+        """See `Percentiles`."""
+        return self._sizes.least
 
     def merge(self, other: Errors) -> None:
         """Add those that another has."""
@@ -83,9 +94,10 @@ class ErrorByAngle:
     """Errors by the electrical angle, (2, BINS) each: a shaft that turns forward, and one that turns in reverse."""
 
     def __init__(self) -> None:
-        self.n, self._sum, self._squares = np.zeros((3, 2, BINS))
-        self.lo, self.hi = np.full((2, BINS), np.inf), np.full((2, BINS), -np.inf)
-        """The least and the largest error."""
+        self.sums = np.zeros((5, 2, BINS))
+        """Number, sum, sum of squares, least and largest: what `sim.observers.against` adds to."""
+        self.n, self._sum, self._squares, self.lo, self.hi = self.sums
+        self.lo[:], self.hi[:] = np.inf, -np.inf
 
     def add(self, bins: I64, error: F64, reverse: NDArray[np.bool_]) -> None:
         """Add errors at angles in these bins, (n,) each; those that are not finite count for nothing."""
@@ -98,8 +110,9 @@ class ErrorByAngle:
 
     def merge(self, other: ErrorByAngle) -> None:
         """Add those of another."""
-        self.n, self._sum, self._squares = self.n + other.n, self._sum + other._sum, self._squares + other._squares
-        self.lo, self.hi = np.minimum(self.lo, other.lo), np.maximum(self.hi, other.hi)
+        self.sums[:3] += other.sums[:3]
+        np.minimum(self.lo, other.lo, out=self.lo)
+        np.maximum(self.hi, other.hi, out=self.hi)
 
     def band(self) -> tuple[F64, F64]:
         """Mean and standard deviation in each bin, by direction, (2, BINS) each; NaN where n is 0."""

@@ -8,6 +8,8 @@ import threading
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.observers.against import BINS, BITS, LOW
+
 
 class Percentiles:
     """Percentiles of any number of magnitudes, each 0 or more.
@@ -18,16 +20,19 @@ class Percentiles:
     """
 
     KEPT = 1 << 13
-    _BITS = 8  # of a float's mantissa, that tell bins apart
-    _LOW, _OCTAVES = 2.0**-24, 44
 
-    def __init__(self) -> None:
+    def __init__(self, counts: NDArray[np.int64] | None = None) -> None:
+        """`counts` (BINS,): where they are counted, by whoever calls `counted` instead of `add`."""
         self.n = 0
         self._lock = threading.RLock()  # one thread may ask while another adds
         self._waiting: list[NDArray[np.float64]] = []  # not looked at yet, so that few at a time cost little
         self._looked_at = 0
         self._top = np.empty(0)
-        self._counts: NDArray[np.int64] | None = None  # none as long as all are kept
+        self._beyond: list[NDArray[np.float64]] = []  # counted, and perhaps among the largest
+        self._many = 0  # of these
+        self.least = -math.inf
+        """The largest magnitude that is not to be kept as it is."""
+        self._counts = counts  # none as long as all are kept
 
     def add(self, values: NDArray[np.float64] | float, count: int = 1) -> None:
         """Add magnitudes, shape (n,), or one, each `count` times."""
@@ -35,6 +40,16 @@ class Percentiles:
             self._waiting.append(np.repeat(values, count))
             self.n += len(self._waiting[-1])
             if self.n - self._looked_at > self.KEPT:
+                self._look()
+
+    def counted(self, n: int, beyond: NDArray[np.float64]) -> None:
+        """Add n magnitudes that are among the counts already; `beyond` (m,): those of them that are beyond `least`."""
+        self.n += n
+        self._looked_at = self.n
+        if len(beyond):
+            self._beyond.append(beyond)
+            self._many += len(beyond)
+            if self._many > 4 * self.KEPT:
                 self._look()
 
     def merge(self, other: Percentiles) -> None:
@@ -62,8 +77,8 @@ class Percentiles:
             return float(np.interp(rank - below, np.arange(len(self._top)), np.sort(self._top)))
         assert self._counts is not None
         found = int(np.searchsorted(np.cumsum(self._counts), math.floor(rank), "right"))
-        edges = np.array([found, found + 1]) + (np.array(self._LOW).view(np.int64) >> (52 - self._BITS))
-        lo, hi = (edges << (52 - self._BITS)).view(np.float64)
+        edges = np.array([found, found + 1]) + (np.array(LOW).view(np.int64) >> (52 - BITS))
+        lo, hi = (edges << (52 - BITS)).view(np.float64)
         return float(0.5 * (lo + hi))
 
     def _look(self) -> None:
@@ -72,7 +87,9 @@ class Percentiles:
         self._waiting, self._looked_at = [], self.n
         if self._counts is not None:
             self._counts += self._counted(values)
-            values = values[~(values <= self._top.min())]  # NaN stays
+            values = values[~(values <= self.least)]  # NaN stays
+        values = np.concatenate([values, *self._beyond])
+        self._beyond, self._many = [], 0
         self._keep(values)
 
     def _keep(self, values: NDArray[np.float64]) -> None:
@@ -81,6 +98,7 @@ class Percentiles:
             if self._counts is None:
                 self._counts = self._counted(whole)
             whole = np.partition(whole, len(whole) - self.KEPT)[-self.KEPT :]
+            self.least = float(whole[0])
         self._top = whole
 
     def _all_counted(self) -> NDArray[np.int64]:
@@ -88,6 +106,6 @@ class Percentiles:
 
     def _counted(self, values: NDArray[np.float64]) -> NDArray[np.int64]:
         """How many lie in each bin: the first bits of a float, taken as a whole number, rise with it."""
-        shift, bins = 52 - self._BITS, self._OCTAVES << self._BITS
-        bin = (np.ascontiguousarray(values).view(np.int64) >> shift) - (np.array(self._LOW).view(np.int64) >> shift)
-        return np.bincount(np.clip(bin, 0, bins - 1), minlength=bins)
+        shift = 52 - BITS
+        bin = (np.ascontiguousarray(values).view(np.int64) >> shift) - (np.array(LOW).view(np.int64) >> shift)
+        return np.bincount(np.clip(bin, 0, BINS - 1), minlength=BINS)

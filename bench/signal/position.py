@@ -21,8 +21,29 @@ from protocol.streams import SampleChunk
 def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     """`angle` in rad, any shape, wrapped to [-pi, pi); what is not finite comes out as NaN."""
     with np.errstate(invalid="ignore"):
-        wrapped: NDArray[np.float64] = (angle + math.pi) % (2 * math.pi) - math.pi
-    return wrapped
+        turned: NDArray[np.float64] = angle + math.pi
+        if np.ndim(turned) and turned.size and -math.tau <= (lo := turned.min()) <= (hi := turned.max()) < 2 * math.tau:
+            if hi >= math.tau:  # to the last bit what % makes of these, and a tenth of its time
+                np.subtract(turned, math.tau, out=turned, where=turned >= math.tau)
+            if lo < 0.0:
+                np.add(turned, math.tau, out=turned, where=turned < 0.0)
+        else:
+            turned = turned % math.tau
+    return turned - math.pi
+
+
+def unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`angle` (n,) in rad, followed over its wraps; NaN from the first that is not finite on.
+
+    To the last bit as `numpy.unwrap` has it, which computes each step as if it were a wrap.
+    """
+    step = np.diff(angle)
+    at = np.flatnonzero(~(np.abs(step) < math.pi))
+    turn = wrap(step[at])
+    turn[(turn == -math.pi) & (step[at] > 0.0)] = math.pi
+    turns = np.concatenate([[0.0], np.cumsum(turn - step[at])])
+    followed: NDArray[np.float64] = angle + np.repeat(turns, np.diff(np.concatenate([[0], at + 1, [len(angle)]])))
+    return followed
 
 
 def wrapped(angle: float) -> float:

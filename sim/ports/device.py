@@ -22,7 +22,7 @@ from sim.drive.apps import DriveApp, LoadApp
 from sim.drive.machine import SimulatedBench
 from sim.native import Native
 from sim.numba_cache import source_hash
-from sim.observers import sample
+from sim.observers import against, sample
 from sim.observers.catalogue import CATALOGUE
 from sim.ports import can_bits
 from sim.ports.networks import ByteNetwork, Network, Session
@@ -156,7 +156,12 @@ class SimulatedDevice:
 
 
 def kernels() -> list[Native]:
-    """All that comes compiled: the loop first, which takes as long as all the others."""
+    """All that comes compiled."""
+    return [*_of_a_device(), against.fold]
+
+
+def _of_a_device() -> list[Native]:
+    """The loop first, which takes as long as all the others."""
     observers = dict.fromkeys(entry.function for entry in CATALOGUE.values())
     return [tick.advance, tick_record.pack, sample.run, can_bits.count, *observers]
 
@@ -166,7 +171,7 @@ def compile_all() -> None:
 
     In virtual time nothing waits, and each function is compiled when it is first used.
     """
-    loop, *others = kernels()
+    loop, *others = _of_a_device()
     compile_apart([loop], others)
     for one in (loop, *others):
         one.load()

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 import synthetic
 from click.testing import CliRunner
+from numpy.typing import NDArray
 
 from bench.cli import cli
 from bench.device.heard import ParameterSet
@@ -178,15 +179,10 @@ def test_an_extended_ring_is_one_too(ring: Run, tmp_path: Path) -> None:
     more = Channel(99, "i_more", Unit.A, RawType.I16, 1.0, Flag(0), 0.0)
     info = replace(ring.info, channels=(*ring.info.channels, more))
 
-    def with_more(chunk: SampleChunk) -> SampleChunk:
-        config = replace(chunk.config, channels=info.channels)
-        raw = np.zeros(len(chunk), config.dtype)
-        for name in chunk.raw.dtype.names or ():
-            raw[name] = chunk.raw[name]
-        raw["i_more"] = -chunk.raw["i_a"]
-        return replace(chunk, config=config, raw=raw)
+    def its_values(chunk: SampleChunk) -> list[NDArray[np.generic]]:
+        return [-chunk.raw["i_a"]]
 
-    Extension(ring, tmp_path / "b.run", info).write(with_more, lambda edges: None, lambda: "")
+    Extension(ring, tmp_path / "b.run", info).write(its_values, lambda edges: None, lambda: "")
     extended = Run(tmp_path / "b.run")
     assert (extended.samples.index == ring.samples.index).all()
     assert (extended.samples.raw["i_more"] == -ring.samples.raw["i_a"]).all()
