@@ -21,7 +21,7 @@ DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
 MOST_PARAMETERS = 8
 MOST_LINES = 80
 COMPILED = {"kernel", "native", "intrinsic", "njit", "_kept"}
-MOST_CODE_LINES = {"bench": 30600, "sim": 8220, "protocol": 4920, "tests": 36000}
+MOST_CODE_LINES = {"bench": 30600, "sim": 8220, "protocol": 4920, "tests": 37000}
 """Whoever raises one says so in the commit."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 
