@@ -13,9 +13,9 @@ import pytest
 
 from tests.benchmarks import __main__ as command
 from tests.benchmarks import page, reference
-from tests.benchmarks.last import Measured, read, slower, text_of
+from tests.benchmarks.last import Measured, compared, read, slower, text_of
 from tests.benchmarks.parts import LONG, PARTS
-from tests.benchmarks.table import Row, cost, speed
+from tests.benchmarks.table import KERNEL, Row, cost, speed
 
 PAGE = "# Page\n\n<!-- benchmarks: begin -->\nold\n<!-- benchmarks: end -->\n\nMore.\n"
 GOOD = speed("reading", 400.0, "frames/s", 300)
@@ -50,9 +50,10 @@ def parts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Parts:
     for part in made.rows:
         monkeypatch.setitem(sys.modules, f"tests.benchmarks.bench_{part}", made.module(part))
     monkeypatch.setattr(command, "LAST", made.last)
+    monkeypatch.setattr(command, "AGAINST", tmp_path / "against.json")
     monkeypatch.setattr(command, "DOCS", made.page.parent)
     monkeypatch.setattr(command, "PAGES", {made.page.name: list(made.rows)})
-    monkeypatch.setattr(reference, "seconds", lambda repeat: 0.05)
+    monkeypatch.setattr(reference, "seconds", lambda repeat: KERNEL)
     return made
 
 
@@ -87,13 +88,28 @@ def test_slower_is_what_takes_more_runs_of_the_reference_kernel(
     assert found == ([] if times is None else [("x", pytest.approx(times))])
 
 
+@pytest.mark.parametrize(
+    ("row", "kernel", "missed"),
+    [
+        (speed("x", 299, "/s", 300), KERNEL, True),
+        (speed("x", 151, "/s", 300), 2 * KERNEL, False),  # a machine that is half as fast
+        (speed("x", 599, "/s", 300), KERNEL / 2, True),
+        (cost("x", 1.9, "s", 1.0), 2 * KERNEL, False),
+        (cost("x", 0.51, "s", 1.0), KERNEL / 2, True),
+        (Row("lost", 1, "", 0, at_most=True), 2 * KERNEL, True),  # no speed
+    ],
+)
+def test_a_goal_of_speed_is_judged_beside_the_reference_kernel(row: Row, kernel: float, missed: bool) -> None:
+    assert row.beside(kernel).missed == missed
+
+
 def test_a_full_run_keeps_figures_with_their_ratios_and_writes_the_page(
     parts: Parts, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command.main([]) == 0
     assert parts.short == [False, False]
-    assert parts.kept["one"].rows == (Row("reading", 400.0, "frames/s", 300, False, True, 20.0),)
-    assert parts.kept["two"].rows == (Row("way", 2.0, "s", None, True, True, 40.0),)
+    assert parts.kept["one"].rows == (Row("reading", 400.0, "frames/s", 300, False, True, pytest.approx(10.4)),)
+    assert parts.kept["two"].rows == (Row("way", 2.0, "s", None, True, True, pytest.approx(76.923, rel=1e-4)),)
     assert parts.page.read_text() == page.with_tables(PAGE, parts.kept)
     assert "every goal reached" in capsys.readouterr().out
     # what became slower is named and is no failure
@@ -179,7 +195,8 @@ def test_every_part_has_its_module_its_figures_and_its_table() -> None:
     for name, parts in page.PAGES.items():
         text = (command.DOCS / name).read_text("utf-8")
         its = {part: last[part] for part in parts if part in last}
-        assert text == page.with_tables(text, its)  # else: python -m tests.benchmarks
+        against = compared(command.AGAINST.read_text("utf-8")) if name == page.FIRST else None
+        assert text == page.with_tables(text, its, against)  # else: python -m tests.benchmarks
     for row in (row for each in last.values() for row in each.rows):
         assert (row.ratio is not None) == row.timed
 

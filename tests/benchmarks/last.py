@@ -1,11 +1,13 @@
-"""The last figures, `last.json`: what each part measured when it last ran in full, when, and on what."""
+"""The last figures: what each part measured when it last ran in full, when, and on what (last.json, against.json)."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
+from typing import Any
 
+from tests.benchmarks.ratio import Pair
 from tests.benchmarks.table import Row
 
 SLOWER = 1.15
@@ -22,6 +24,16 @@ class Measured:
     rows: tuple[Row, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A part that was measured at two commits turn about."""
+
+    date: str
+    machine: str
+    commit: str  # the present one
+    rows: tuple[Pair, ...]
+
+
 Last = Mapping[str, Measured]
 
 
@@ -33,8 +45,16 @@ def read(text: str) -> dict[str, Measured]:
     }
 
 
-def text_of(last: Last) -> str:
-    """What `read` reads, a line for each row."""
+def compared(text: str) -> dict[str, Comparison]:
+    """Commits' comparisons, by commit and part: "c9185aa sim"."""
+    return {
+        part: Comparison(**kept | {"rows": tuple(Pair(**row) for row in kept["rows"])})
+        for part, kept in json.loads(text).items()
+    }
+
+
+def text_of(last: Mapping[str, Any]) -> str:
+    """What `read` or `compared` reads, a line for each row."""
     blocks = []
     for part, measured in last.items():
         kept = asdict(measured)

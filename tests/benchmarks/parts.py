@@ -22,6 +22,7 @@ PARTS = {
     "fixed_point": "Fixed point: 16 bits beside floating point, same telemetry",
     "decode": "Decode: bytes to numpy columns, CRC checked, one core",
     "sim": "Simulated drive in virtual time, one core",
+    "profile": "Where a period goes: parts timed by themselves, one core",
     "live": "Live: the simulated drive behind a pty, recorded",
     "starved": "Live beside busy loops, two for each core",
     "can": "CAN: stream frames to numpy columns, and a run over slcan, recorded",
@@ -47,10 +48,14 @@ def measure(part: str, short: bool) -> Measured:
     before = reference.seconds(repeat)
     rows = _sane(module.rows(short))
     took = min(before, reference.seconds(repeat))
-    machine = f"Python {platform.python_version()}, {os.cpu_count()} cores, {platform.machine()}"
     if short:
         rows = [replace(row, goal=None) for row in rows]
-    return Measured(date.today().isoformat(), machine, took, tuple(row.beside(took) for row in rows))
+    return Measured(date.today().isoformat(), machine(), took, tuple(row.beside(took) for row in rows))
+
+
+def machine() -> str:
+    """What this runs on, for people."""
+    return f"Python {platform.python_version()}, {os.cpu_count()} cores, {platform.machine()}"
 
 
 def _sane(rows: Iterable[Row]) -> list[Row]:

@@ -76,8 +76,8 @@ def physical(recorded: Recorded, name: str) -> np.ndarray:
     return recorded.samples[name] * SCALE[name]
 
 
-def front_end(bench: SimulatedBench, parts: Sequence[Recorded], reset: np.ndarray) -> np.ndarray:
-    """What the observers' front end makes of what was recorded, (n,); `reset` (n,)."""
+def measured_of(bench: SimulatedBench, parts: Sequence[Recorded]) -> np.ndarray:
+    """What the observers' front end gets of what was recorded, (n,), beside the edges."""
     seen = {name: np.concatenate([physical(part, name) for part in parts]) for name in (*MEASURED, "i_q_ref", "i_q")}
     measured = Cells(sample.Measured, len(seen["i_q"])).array
     ticks = bench.params.clock.period_ticks
@@ -86,9 +86,18 @@ def front_end(bench: SimulatedBench, parts: Sequence[Recorded], reset: np.ndarra
     for name in MEASURED:
         measured[name] = seen[name]
     measured["i_q_err"] = seen["i_q_ref"] - np.r_[0.0, seen["i_q"][:-1]]
+    return measured
+
+
+def made_front_end(bench: SimulatedBench) -> sample.FrontEnd:
+    """A front end with the drive's parameters."""
+    return sample.FrontEnd(sample.make_params(bench.params.clock.tick_hz, chosen(sample.Settings, bench.parameters)))
+
+
+def front_end(bench: SimulatedBench, parts: Sequence[Recorded], reset: np.ndarray) -> np.ndarray:
+    """What the observers' front end makes of what was recorded, (n,); `reset` (n,)."""
     edges = np.concatenate([part.captured for part in parts])
-    front = sample.FrontEnd(sample.make_params(bench.params.clock.tick_hz, chosen(sample.Settings, bench.parameters)))
-    return front.run(measured, edges, reset).view(np.recarray)
+    return made_front_end(bench).run(measured_of(bench, parts), edges, reset).view(np.recarray)
 
 
 def error_deg(recorded: Recorded, name: str) -> np.ndarray:
