@@ -12,26 +12,25 @@ import sys
 READY = b"\0"
 _AT_ONCE = 16384  # bytes
 
+if sys.platform != "win32":  # where nothing starts it
 
-def pump(port: int, wait: int, pipe: int) -> None:
-    """Move bytes until one end is gone."""
-    assert sys.platform != "win32"
-    os.write(pipe, READY)
-    os.read(wait, 1)
-    ends = select.poll()
-    ends.register(port, select.POLLIN)
-    ends.register(pipe, 0)  # an error when its other end has been closed
-    held = bytearray(_AT_ONCE)
-    there = memoryview(held)
-    while pipe not in dict(ends.poll()):
-        try:
-            n = os.readv(port, (held,))
-        except BlockingIOError:  # somebody else took it
-            continue
-        if not n:
-            return
-        os.write(pipe, there[:n])
+    def pump(port: int, wait: int, pipe: int) -> None:
+        """Move bytes until one end is gone."""
+        os.write(pipe, READY)
+        os.read(wait, 1)
+        ends = select.poll()
+        ends.register(port, select.POLLIN)
+        ends.register(pipe, 0)  # an error when its other end has been closed
+        held = bytearray(_AT_ONCE)
+        there = memoryview(held)
+        while pipe not in dict(ends.poll()):
+            try:
+                n = os.readv(port, (held,))
+            except BlockingIOError:  # somebody else took it
+                continue
+            if not n:
+                return
+            os.write(pipe, there[:n])
 
-
-if __name__ == "__main__":
-    pump(int(sys.argv[1]), 0, 1)  # what it raises, nobody reads: it has ended
+    if __name__ == "__main__":
+        pump(int(sys.argv[1]), 0, 1)  # what it raises, nobody reads: it has ended
