@@ -173,7 +173,9 @@ class _Target:
 
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
-        library = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
+        library = None
+        with suppress(OSError):
+            library = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
         for name in MATHEMATICS:  # what it does not find by itself ends the process
             if not llvm.address_of_symbol(name) and (function := getattr(library, name, None)):
                 llvm.add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)

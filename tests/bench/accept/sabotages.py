@@ -245,8 +245,8 @@ LOOPS = {
     ),
     "d current": Kind(
         "a d current of {size} flows that nobody asked for", (0.05, 0.2), "true_d_current",
-        lambda s: s, change=Change("drive/tick_firmware", "quantised(i_d_ref, params.ampere)",
-                                  "quantised(i_d_ref + SIZE, params.ampere)"),
+        lambda s: s, change=Change("drive/tick_firmware", "quantised(i_d_ref, params.ampere, params.per_ampere)",
+                                  "quantised(i_d_ref + SIZE, params.ampere, params.per_ampere)"),
         unit="A",
     ),
     "delay of the voltage": Kind(

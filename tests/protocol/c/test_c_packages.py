@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 from building import LIMIT, ROOT, SOURCE, compiler, run
 
+import protocol
 from tests.tools import require
 
 pytestmark = pytest.mark.slow
 
+VERSION = protocol.__version__
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-VERSION = PROJECT["project"]["version"]
 C_FILES = {"hbp.c", "hbp_can.c"}
 
 

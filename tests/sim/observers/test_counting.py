@@ -40,7 +40,7 @@ def kinds(function, *arguments):
         (transforms.clip, (Number(1.0), 2.0), {"compare": 2, "load": 2}),
         (transforms.clip, (Number(1.0), Number(2.0)), {"negate": 1, "compare": 2}),
         (transforms.wrap, (Number(3.0),), {"compare": 2, "load": 2}),
-        (transforms.wrap, (Number(4.0),), {"compare": 4, "add": 2, "divide": 1, "floor": 1, "multiply": 1, "load": 3}),
+        (transforms.wrap, (Number(4.0),), {"compare": 4, "add": 2, "floor": 1, "multiply": 2, "load": 4}),
         # T_s, and 1, 1/2, 1/24, 720, 1/6, 120
         (
             back_emf._undo_filter,
