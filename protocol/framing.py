@@ -163,10 +163,9 @@ class Deframer:
             self._tail = b""
 
         decoded, chunks = of.decode(data, self._max_chunk, MAX_PAYLOAD, _OVERHEAD)
-        intact = of.INTACT
-        frames = [decoded[begin:end] for begin, end, _, result in chunks if result == intact]
+        frames = [decoded[begin:end] for begin, end, _, result in chunks if result == of.INTACT]
         if len(frames) < len(chunks):
-            damaged = [(length, result) for _, _, length, result in chunks if result != intact]
+            damaged = [(length, result) for _, _, length, result in chunks if result != of.INTACT]
             results = [result for _, result in damaged]
             counters.noise_bytes += sum(length for length, _ in damaged)
             counters.bad_crc += results.count(of.BAD_CRC)

@@ -364,7 +364,6 @@ class _Sequence:
         runs: list[list[int]] = []
         gaps: list[Gap] = []
         position, next_tick = 0, -1
-        expected, next_seq = self._next_index, self._next_seq
         for raw in frames:
             if len(raw) < STREAM_OFFSET:
                 counters.malformed += 1
@@ -376,27 +375,25 @@ class _Sequence:
             if not n or len(raw) != STREAM_OFFSET + n * size:
                 counters.malformed += 1
                 continue
-            if expected is not None and index == expected & 0xFFFFFFFF and seq == next_seq and not flags:
+            expected = self._next_index
+            if expected is not None and index == expected & 0xFFFFFFFF and seq == self._next_seq and not flags:
                 first = expected
-                goes_on = tick == next_tick or ticks is None
             else:
-                self._next_index, self._next_seq = expected, next_seq
                 place = self._place(flags, seq, index, position, gaps)
                 if place is None:
                     counters.out_of_order += 1
                     continue
-                first, goes_on = place, place == expected and (tick == next_tick or ticks is None)
-            if goes_on and runs:
+                first = place
+            if first == expected and runs and (ticks is None or tick == next_tick):
                 runs[-1][2] += n
             else:
                 runs.append([first, tick, n])
             payloads.append(raw[STREAM_OFFSET:])
             position += n
-            expected = first + n * step
-            next_seq = seq + 1 & 0xFFFF
+            self._next_index = first + n * step
+            self._next_seq = (seq + 1) & 0xFFFF
             if ticks is not None:
-                next_tick = tick + n * ticks & 0xFFFFFFFF
-        self._next_index, self._next_seq = expected, next_seq
+                next_tick = (tick + n * ticks) & 0xFFFFFFFF
         if not payloads:
             return None
         counters.frames += len(payloads)
@@ -483,7 +480,7 @@ class SampleDecoder(_Sequence):
             return None
         starts = [(self._dated(index, tick, n), n) for index, tick, n in accepted.runs]
         tick = _progressions(starts, self._ticks_per_sample)
-        self._reference.tick, self._reference.used = tick.item(-1), True
+        self._reference.tick, self._reference.used = int(tick[-1]), True
         index = accepted.index(self.config.decimation)
         return SampleChunk(self.config, index, tick, accepted.records, accepted.gaps)
 
@@ -552,10 +549,8 @@ def unpack_edges(
 
 def _progressions(starts: Sequence[tuple[int, int]], step: int) -> I64:
     """Return start, start + step, … with n members for each (start, n), joined."""
-    if len(starts) == 1:
-        ((start, n),) = starts
-        return np.arange(start, start + n * step, step, dtype=np.int64)
-    return np.concatenate([np.arange(start, start + n * step, step, dtype=np.int64) for start, n in starts])
+    parts = [np.arange(start, start + n * step, step, dtype=np.int64) for start, n in starts]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _signed32(value: int) -> int:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
-from protocol.framing import CONNECT_PREAMBLE, HEADER_BYTES, MAJOR, Deframer, Frame, ReceiverCounters, encode_frame
+from protocol.framing import CONNECT_PREAMBLE, MAJOR, Deframer, Frame, ReceiverCounters, encode_frame
 from protocol.messages import MessageType, StreamEvent
 from protocol.streams import (
     STREAM_OFFSET,
@@ -93,7 +93,6 @@ class HostWire(Protocol):
         """Return what to look at when these nodes are heard and HELLO is not answered."""
 
 
-_HEAD = HEADER_BYTES + 1  # bytes of header and payload that say which stream a frame is of, and how long
 PATIENCE = 3.0  # s that a device may take to answer HELLO
 
 
@@ -126,18 +125,14 @@ class ByteWire:
         """See `HostWire.feed`; stream frames between two messages are one batch a stream."""
         out: list[bytes | StreamFrames] = []
         groups: dict[tuple[int, int, int], list[bytes]] = {}
-        same, group = b"", list[bytes]()  # of the frame before: how it begins, and where such frames go
         for raw in self._deframer.feed(data):
-            if (head := raw[:_HEAD]) != same:
-                kind = raw[0]
-                if (kind != 0x40 and kind != 0x41) or raw[1] & 0x3F != MAJOR or len(raw) < STREAM_OFFSET:
-                    out += _batches(groups)
-                    groups.clear()
-                    out.append(raw)
-                    same = b""
-                    continue
-                same, group = head, groups.setdefault((kind, raw[6], raw[8]), [])
-            group.append(raw)
+            kind = raw[0]
+            if (kind == 0x40 or kind == 0x41) and raw[1] & 0x3F == MAJOR and len(raw) >= STREAM_OFFSET:
+                groups.setdefault((kind, raw[6], raw[8]), []).append(raw)
+            else:
+                out += _batches(groups)
+                groups.clear()
+                out.append(raw)
         return out + _batches(groups)
 
     def decoder(self, config: StreamConfig, reference: TickReference) -> Decoder:

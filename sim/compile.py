@@ -77,8 +77,9 @@ def compile_apart(*groups: Sequence[Compiled]) -> None:
                 pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
                 environment = {**GENERIC, **os.environ}
                 made = subprocess.Popen(
-                    command, stdin=pipe, stdout=nothing, stderr=nothing, start_new_session=True, env=environment
-                )
+                    command, stdin=pipe, stdout=nothing, stderr=nothing, env=environment,
+                    start_new_session=True, creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+                )  # fmt: skip
                 children.append(made)
         while any(child.poll() is None for child in children):
             if (now := time.monotonic()) - told >= TELL_EVERY:

@@ -167,9 +167,11 @@ def accept(options: AcceptOptions, screen: Screen) -> tuple[RunResult | None, in
     if options.jobs > 1 and find_spec("xdist") is None:
         raise BenchError("--jobs needs pytest-xdist: pip install pytest-xdist")
     teller = _Teller(screen, options.list_only)
-    with _no_foreign_settings():
-        code = pytest.main(_arguments(options), plugins=[teller])
-    gc.unfreeze()
+    try:
+        with _no_foreign_settings():
+            code = pytest.main(_arguments(options), plugins=[teller])
+    finally:
+        gc.unfreeze()
     gc.collect()  # who runs it often holds the samples of all runs otherwise: they are in circles
     if teller.problems:
         raise BenchError("; ".join(teller.problems))

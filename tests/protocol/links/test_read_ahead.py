@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -25,21 +24,6 @@ TURN = 0.02  # s, of the client
 MUCH = 1e6  # bytes/s
 LIMIT = 20.0  # s, on a busy machine
 DEEP = 200_000  # bytes: many times what a pty holds
-
-
-@pytest.fixture
-def port(tmp_path: Path) -> Iterator[PtyPort]:
-    port = PtyPort(tmp_path / "ttyAHEAD")
-    yield port
-    port.unplug()
-
-
-@pytest.fixture
-def link(port: PtyPort) -> Iterator[SerialLink]:
-    link = open_link(port.target)
-    assert isinstance(link, SerialLink)
-    yield link
-    link.close()
 
 
 class Stream:
@@ -124,7 +108,7 @@ def test_unplugged_it_delivers_the_tail_then_names_the_port(port: PtyPort, strea
     stream.take(link)
     pid = link._ahead.pid
     port.unplug()
-    with pytest.raises(LinkClosed, match="ttyAHEAD is gone"):
+    with pytest.raises(LinkClosed, match="ttyBENCH is gone"):
         link.read(LIMIT, TURN)
     assert not Path("/proc", str(pid)).exists()
     port.plug()

@@ -22,13 +22,6 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tell
 
 
 @pytest.fixture
-def port(tmp_path: Path) -> Iterator[PtyPort]:
-    port = PtyPort(tmp_path / "ttyRIVAL")
-    yield port
-    port.unplug()
-
-
-@pytest.fixture
 def raw() -> Iterator[tuple[int, str]]:
     """An adapter that is only a pty: the test writes its lines."""
     master, slave = os.openpty()

@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 import types
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -29,22 +28,6 @@ def opened_as(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     if request.param == "polled":
         monkeypatch.setattr("protocol.links.serial.OPENED", PolledPort)
     return str(request.param)
-
-
-@pytest.fixture
-def port(tmp_path: Path) -> Iterator[PtyPort]:
-    """A port that can be pulled out."""
-    port = PtyPort(tmp_path / "ttyBENCH")
-    yield port
-    port.unplug()
-
-
-@pytest.fixture
-def link(port: PtyPort) -> Iterator[SerialLink]:
-    link = open_link(port.target)
-    assert isinstance(link, SerialLink)
-    yield link
-    link.close()
 
 
 def test_read_takes_all_that_has_come(port: PtyPort, link: SerialLink) -> None:
