@@ -20,8 +20,9 @@ from protocol.machine_code import Store, hashed, kernel
 RUN = 254  # most bytes that a code byte stands for without a zero after them
 CRC_BYTES = 4
 CRC_BLOCK = 16  # bytes that go into the CRC at a time; 32 are no quicker
-INTACT, BAD_COBS, BAD_CRC, BAD_LENGTH, TOO_LONG = range(5)
-"""What `decode` says of a chunk."""
+RESULTS = INTACT, BAD_COBS, BAD_CRC, BAD_LENGTH, TOO_LONG = 0, 1, 2, 3, 4
+"""What a chunk can be."""
+_NO_ZERO = b"\xff" * 8
 
 Bytes = Any
 """In a kernel: where bytes begin; a pointer to other numbers likewise."""
@@ -145,6 +146,8 @@ def _decode(
     data: Bytes, words: Bytes, length: int, longest: int, payload: int, overhead: int, found: Bytes, count: Bytes
 ) -> None:
     n, begin = 0, 0
+    for result in range(len(RESULTS) + 1):
+        count[result] = 0
     for w in range(length):
         if not (words[w] - _ONES) & ~words[w] & _HIGH:  # none of its bytes is zero
             continue
@@ -166,13 +169,13 @@ def _decode(
                     result = BAD_LENGTH
                 else:
                     result = INTACT
-                found[4 * n] = first
-                found[4 * n + 1] = last - CRC_BYTES
-                found[4 * n + 2] = end - begin
-                found[4 * n + 3] = result
-                n += 1
+                    found[2 * n] = first
+                    found[2 * n + 1] = last - CRC_BYTES
+                    n += 1
+                count[result] += 1
+                if result != INTACT:
+                    count[len(RESULTS)] += end - begin
             begin = end + 1
-    count[0] = n
 
 
 def encode(
@@ -193,24 +196,43 @@ def encode(
     return out[: lengths[-1]].tobytes(), lengths
 
 
-def decode(data: bytes, longest: int, payload: int, overhead: int) -> tuple[bytes, list[list[int]]]:
-    """Decode all chunks that a zero ends.
+class Decoder:
+    """Decodes chunks of a stream, in memory that it keeps from one call to the next.
 
     Args:
-        data: chunks with zeros between them; one without a zero behind it, at the end, is left alone.
         longest: the longest chunk that may be a frame, bytes.
         payload: the longest payload of a frame, bytes.
         overhead: bytes of header and CRC; bytes 4 and 5 of the header say how long the payload is.
-
-    Returns:
-        The decoded bytes, and a row for each chunk: where its header and payload begin in them, where they end, how
-        many bytes the chunk had, and INTACT or what is wrong with it.
     """
-    work = np.frombuffer(bytearray(data.ljust(len(data) + 7 & ~7, b"\xff")), np.uint8)
-    found = np.empty((len(data) // 2, 4), np.int32)  # a chunk has two bytes at least, with its zero
-    count, at = ctypes.c_int64(), _address(work)
-    _decode_compiled(at, at, len(work) // 8, longest, payload, overhead, _address(found), ctypes.addressof(count))
-    return work.tobytes(), found[: count.value].tolist()
+
+    def __init__(self, longest: int, payload: int, overhead: int) -> None:
+        self._limits = longest, payload, overhead
+        self._counts = memoryview(bytearray(8 * (len(RESULTS) + 1))).cast("q")
+        self._counts_at = _address(np.frombuffer(self._counts, np.int64))
+        self._make_room(1 << 13)
+
+    def _make_room(self, size: int) -> None:
+        """For so many bytes. A chunk has two at least, with its zero, and a frame's place is two numbers of four."""
+        work, found = np.empty(size + 8, np.uint8), np.empty(size, np.int32)
+        self._size, self._work, self._found = size, memoryview(work), memoryview(found)
+        self._work_at, self._found_at = _address(work), _address(found)
+
+    def decode(self, data: bytes) -> tuple[bytes, list[int], list[int]]:
+        """Decode all chunks that a zero ends, with zeros between them; what is behind the last zero is left alone.
+
+        Returns:
+            The decoded bytes; for each intact frame where its header and payload begin in them, and where they end;
+            how many chunks had each of `RESULTS`, and how many bytes the damaged ones had.
+        """
+        n = len(data)
+        if n > self._size:
+            self._make_room(2 * n)
+        self._work[:n] = data
+        self._work[n : n + 8] = _NO_ZERO
+        at = self._work_at
+        _decode_compiled(at, at, (n + 7) // 8, *self._limits, self._found_at, self._counts_at)
+        counts = self._counts.tolist()
+        return self._work[:n].tobytes(), self._found[: 2 * counts[INTACT]].tolist(), counts
 
 
 def _address(array: NDArray[Any]) -> int:
@@ -230,10 +252,10 @@ def _ir(name: str) -> str:
     from protocol.ir_by_numba import ir_by_numba
 
     of: Any = types
-    bytes_, words, rows, counts = (of.CPointer(kind) for kind in (of.uint8, of.uint64, of.int32, of.int64))
+    bytes_, words, places, counts = (of.CPointer(kind) for kind in (of.uint8, of.uint64, of.int32, of.int64))
     kinds = {
         "encode": [bytes_, of.uint64, bytes_, *[of.uint64] * 4, of.int64, bytes_, counts, bytes_],
-        "decode": [bytes_, words, *[of.int64] * 4, rows, counts],
+        "decode": [bytes_, words, *[of.int64] * 4, places, counts],
     }
     return ir_by_numba(_FUNCTIONS[name], kinds[name])
 

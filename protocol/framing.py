@@ -133,9 +133,9 @@ class Deframer:
     """
 
     def __init__(self) -> None:
-        self._compiled = compiled()
         self.counters = FramingCounters()
         self._max_chunk = encoded_length(MAX_PAYLOAD) - 2
+        self._decode = compiled().Decoder(self._max_chunk, MAX_PAYLOAD, _OVERHEAD).decode
         self._tail = b""
         self._skipping = True  # until the next delimiter: unsynchronised, or inside a run that is too long
 
@@ -147,7 +147,7 @@ class Deframer:
 
     def feed(self, data: bytes) -> list[bytes]:
         """Return header + payload of every intact frame that `data` completes, in order."""
-        counters, of = self.counters, self._compiled
+        counters = self.counters
         start = data.find(b"\0") if self._skipping else 0
         if start < 0:
             counters.noise_bytes += len(data)
@@ -162,15 +162,13 @@ class Deframer:
             self._skipping = True
             self._tail = b""
 
-        decoded, chunks = of.decode(data, self._max_chunk, MAX_PAYLOAD, _OVERHEAD)
-        frames = [decoded[begin:end] for begin, end, _, result in chunks if result == of.INTACT]
-        if len(frames) < len(chunks):
-            damaged = [(length, result) for _, _, length, result in chunks if result != of.INTACT]
-            results = [result for _, result in damaged]
-            counters.noise_bytes += sum(length for length, _ in damaged)
-            counters.bad_crc += results.count(of.BAD_CRC)
-            counters.bad_cobs += results.count(of.BAD_COBS)
-            counters.bad_length += results.count(of.BAD_LENGTH)
-            counters.too_long += results.count(of.TOO_LONG)
-        counters.frames += len(frames)
-        return frames
+        decoded, places, (intact, bad_cobs, bad_crc, bad_length, too_long, damaged) = self._decode(data)
+        if damaged:
+            counters.noise_bytes += damaged
+            counters.bad_crc += bad_crc
+            counters.bad_cobs += bad_cobs
+            counters.bad_length += bad_length
+            counters.too_long += too_long
+        counters.frames += intact
+        each = iter(places)
+        return [decoded[begin:end] for begin, end in zip(each, each, strict=True)]

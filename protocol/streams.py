@@ -549,8 +549,10 @@ def unpack_edges(
 
 def _progressions(starts: Sequence[tuple[int, int]], step: int) -> I64:
     """Return start, start + step, … with n members for each (start, n), joined."""
-    parts = [np.arange(start, start + n * step, step, dtype=np.int64) for start, n in starts]
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+    if len(starts) == 1:
+        (start, n) = starts[0]
+        return np.arange(start, start + n * step, step, dtype=np.int64)
+    return np.concatenate([np.arange(start, start + n * step, step, dtype=np.int64) for start, n in starts])
 
 
 def _signed32(value: int) -> int:
