@@ -10,7 +10,7 @@ import ctypes
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,11 @@ CRC_BLOCK = 16  # bytes that go into the CRC at a time; 32 are no quicker
 RESULTS = INTACT, BAD_COBS, BAD_CRC, BAD_LENGTH, TOO_LONG = 0, 1, 2, 3, 4
 """What a chunk can be."""
 _NO_ZERO = b"\xff" * 8
+RECORDS, MOST_RECORDS = 24, 0xFFFF
+"""Bytes of the two headers before a stream frame's records, and how many of these one can say that it holds."""
+ROW = 5
+"""Numbers of a stream: its type, node, number and cfg_id in one, the last three of `Followed`, and the index that comes
+next, -1 at first. What is before that its decoder will not take, and nothing is joined to it."""
 
 Bytes = Any
 """In a kernel: where bytes begin; a pointer to other numbers likewise."""
@@ -142,11 +147,43 @@ def _uncovered(data: Bytes, begin: int, end: int) -> int:
 
 
 @kernel
+def _number(data: Bytes, at: int, size: int) -> int:
+    value = 0
+    for k in range(size):
+        value |= int(data[at + k]) << 8 * k
+    return value
+
+
+@kernel
+def _stream_of(data: Bytes, begin: int, end: int, streams: Bytes, known: int) -> int:
+    """The row of `streams` that an intact frame is of; -1 if of none, not as long as it says, or older than others."""
+    if end - begin >= RECORDS:
+        key = _number(data, begin, 1) | _number(data, begin + 6, 1) << 8 | _number(data, begin + 8, 1) << 16
+        key |= _number(data, begin + 12, 2) << 24
+        for row in range(known):
+            if streams[ROW * row] == key:
+                n, ahead = _number(data, begin + 10, 2), _number(data, begin + 16, 4) - streams[ROW * row + 4]
+                new = streams[ROW * row + 4] < 0 or ahead & 0xFFFFFFFF < 1 << 31
+                return row if new and n and n * streams[ROW * row + 1] == end - begin - RECORDS else -1
+    return -1
+
+
+@kernel
 def _decode(
-    data: Bytes, words: Bytes, length: int, longest: int, payload: int, overhead: int, found: Bytes, count: Bytes
+    data: Bytes,
+    words: Bytes,
+    length: int,
+    longest: int,
+    payload: int,
+    overhead: int,
+    streams: Bytes,
+    known: int,
+    found: Bytes,
+    count: Bytes,
 ) -> None:
     n, begin = 0, 0
-    for result in range(len(RESULTS) + 1):
+    run, row, more, samples, next_seq, next_tick = 0, -1, 0, 0, 0, 0
+    for result in range(len(RESULTS) + 2):
         count[result] = 0
     for w in range(length):
         if not (words[w] - _ONES) & ~words[w] & _HIGH:  # none of its bytes is zero
@@ -165,17 +202,45 @@ def _decode(
                     result = BAD_COBS
                 elif held >= 0 and _crc(data, first, last, _ALL) != _RESIDUE:
                     result = BAD_CRC
-                elif held < 0 or int(data[first + 4]) | int(data[first + 5]) << 8 != held:
+                elif held < 0 or _number(data, first + 4, 2) != held:
                     result = BAD_LENGTH
                 else:
                     result = INTACT
-                    found[2 * n] = first
-                    found[2 * n + 1] = last - CRC_BYTES
-                    n += 1
                 count[result] += 1
                 if result != INTACT:
                     count[len(RESULTS)] += end - begin
+                else:
+                    last -= CRC_BYTES
+                    before, row = row, _stream_of(data, first, last, streams, known)
+                    follows, new, seq, index, tick = False, 0, 0, 0, 0
+                    if row >= 0:
+                        new, seq = _number(data, first + 10, 2), _number(data, first + 14, 2)
+                        index, tick = _number(data, first + 16, 4), _number(data, first + 20, 4)
+                        follows = row == before and seq == next_seq and index == streams[ROW * row + 4]
+                        follows = follows and not data[first + 9] and data[first + 1] == data[run + 1]
+                        follows = follows and samples + new <= MOST_RECORDS
+                        follows = follows and (streams[ROW * row + 3] < 0 or tick == next_tick)
+                        next_seq = seq + 1 & 0xFFFF
+                        streams[ROW * row + 4] = index + new * streams[ROW * row + 2] & 0xFFFFFFFF
+                        next_tick = tick + new * streams[ROW * row + 3] & 0xFFFFFFFF
+                    if follows:
+                        more += 1
+                        at = found[2 * n - 1]
+                        by = np.uint64(first + RECORDS - at)
+                        for each in range(np.uint64(first + RECORDS), np.uint64(last)):
+                            data[each - by] = data[each]
+                        found[2 * n - 1] = at + last - first - RECORDS
+                        samples += new
+                        data[run + 10], data[run + 11] = samples & 0xFF, samples >> 8
+                        data[run + 2], data[run + 3] = more & 0xFF, more >> 8
+                    else:
+                        run, samples, more = first, new, 0
+                        found[2 * n], found[2 * n + 1] = first, last
+                        n += 1
+                        if row >= 0:
+                            data[run + 2] = data[run + 3] = 0
             begin = end + 1
+    count[len(RESULTS) + 1] = n
 
 
 def encode(
@@ -196,8 +261,22 @@ def encode(
     return out[: lengths[-1]].tobytes(), lengths
 
 
+class Followed(NamedTuple):
+    """What the frames of a stream have in common, and how one that follows another goes on."""
+
+    type: int
+    node: int
+    stream: int
+    cfg_id: int
+    record_bytes: int
+    index_step: int
+    """From record to record."""
+    ticks: int
+    """Likewise; -1 where a frame's tick says nothing of the next one's."""
+
+
 class Decoder:
-    """Decodes chunks of a stream, in memory that it keeps from one call to the next.
+    """Decodes chunks of a link, in memory that it keeps from one call to the next.
 
     Args:
         longest: the longest chunk that may be a frame, bytes.
@@ -207,18 +286,29 @@ class Decoder:
 
     def __init__(self, longest: int, payload: int, overhead: int) -> None:
         self._limits = longest, payload, overhead
-        self._counts = memoryview(bytearray(8 * (len(RESULTS) + 1))).cast("q")
+        self._counts = memoryview(bytearray(8 * (len(RESULTS) + 2))).cast("q")
         self._counts_at = _address(np.frombuffer(self._counts, np.int64))
         self._make_room(1 << 13)
+        self._streams = np.empty((0, ROW), np.int64)
+        self._known = _address(self._streams), 0
+
+    def join(self, new: Followed) -> None:
+        """From now on frames of this stream that follow each other at once become one, as `decode` says."""
+        what = new.type | new.node << 8 | new.stream << 16
+        rows = [row for row in self._streams.tolist() if row[0] & 0xFFFFFF != what]
+        self._streams = np.array([*rows, [what | new.cfg_id << 24, *new[4:], -1]], np.int64)
+        self._known = _address(self._streams), len(self._streams)
 
     def _make_room(self, size: int) -> None:
         """For so many bytes. A chunk has two at least, with its zero, and a frame's place is two numbers of four."""
         work, found = np.empty(size + 8, np.uint8), np.empty(size, np.int32)
-        self._size, self._work, self._found = size, memoryview(work), memoryview(found)
+        self._size, self._work, self._found = size, work.data, found.data
         self._work_at, self._found_at = _address(work), _address(found)
 
     def decode(self, data: bytes) -> tuple[bytes, list[int], list[int]]:
         """Decode all chunks that a zero ends, with zeros between them; what is behind the last zero is left alone.
+
+        Frames that are joined are one of as many records, whose tid says how many more it is made of.
 
         Returns:
             The decoded bytes; for each intact frame where its header and payload begin in them, and where they end;
@@ -230,9 +320,9 @@ class Decoder:
         self._work[:n] = data
         self._work[n : n + 8] = _NO_ZERO
         at = self._work_at
-        _decode_compiled(at, at, (n + 7) // 8, *self._limits, self._found_at, self._counts_at)
-        counts = self._counts.tolist()
-        return self._work[:n].tobytes(), self._found[: 2 * counts[INTACT]].tolist(), counts
+        _decode_compiled(at, at, (n + 7) // 8, *self._limits, *self._known, self._found_at, self._counts_at)
+        *counts, frames = self._counts.tolist()
+        return self._work[:n].tobytes(), self._found[: 2 * frames].tolist(), counts
 
 
 def _address(array: NDArray[Any]) -> int:
@@ -255,7 +345,7 @@ def _ir(name: str) -> str:
     bytes_, words, places, counts = (of.CPointer(kind) for kind in (of.uint8, of.uint64, of.int32, of.int64))
     kinds = {
         "encode": [bytes_, of.uint64, bytes_, *[of.uint64] * 4, of.int64, bytes_, counts, bytes_],
-        "decode": [bytes_, words, *[of.int64] * 4, places, counts],
+        "decode": [bytes_, words, *[of.int64] * 4, counts, of.int64, places, counts],
     }
     return ir_by_numba(_FUNCTIONS[name], kinds[name])
 
@@ -276,4 +366,4 @@ def _loaded(name: str, *arguments: Any) -> Callable[..., int]:
 
 _AT, _NUMBER, _GIVEN = ctypes.c_size_t, ctypes.c_int64, ctypes.c_char_p
 _encode_compiled = _loaded("encode", _GIVEN, _NUMBER, _GIVEN, *[_NUMBER] * 5, _AT, _AT, _AT)
-_decode_compiled = _loaded("decode", _AT, _AT, *[_NUMBER] * 4, _AT, _AT)
+_decode_compiled = _loaded("decode", _AT, _AT, *[_NUMBER] * 4, _AT, _NUMBER, _AT, _AT)

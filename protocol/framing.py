@@ -1,8 +1,8 @@
 """Frames on a byte link: `00 | COBS(header, payload, crc32) | 00`.
 
 `encode_frame` makes one, `Deframer` finds them in a stream that may hold noise, halves and damage. A damaged
-frame is dropped and counted; a frame that comes out is byte for byte what was sent. This module never looks
-into a payload, does no I/O and keeps at most one frame's length of bytes.
+frame is dropped and counted; a frame that comes out is byte for byte what was sent, but for those of a stream that are
+joined (`Deframer.join`). This module does no I/O and keeps at most one frame's length of bytes.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class Deframer:
     def __init__(self) -> None:
         self.counters = FramingCounters()
         self._max_chunk = encoded_length(MAX_PAYLOAD) - 2
-        self._decode = compiled().Decoder(self._max_chunk, MAX_PAYLOAD, _OVERHEAD).decode
+        self._decoder = compiled().Decoder(self._max_chunk, MAX_PAYLOAD, _OVERHEAD)
         self._tail = b""
         self._skipping = True  # until the next delimiter: unsynchronised, or inside a run that is too long
 
@@ -144,6 +144,15 @@ class Deframer:
         self.counters.noise_bytes += len(self._tail)
         self._tail = b""
         self._skipping = True
+
+    def join(self, type_: int, node: int, stream: int, rest: tuple[int, int, int, int]) -> None:
+        """From now on stream frames of this kind that follow each other without a gap or a flag come out as one.
+
+        Their records are then behind one header, the first one's, whose tid says how many more frames they are of.
+        `rest`: their cfg_id, the bytes of a record, and by how much index and tick grow from record to record, -1 for a
+        tick that does not.
+        """
+        self._decoder.join(compiled().Followed(type_, node, stream, *rest))
 
     def feed(self, data: bytes) -> list[bytes]:
         """Return header + payload of every intact frame that `data` completes, in order."""
@@ -162,7 +171,7 @@ class Deframer:
             self._skipping = True
             self._tail = b""
 
-        decoded, places, (intact, bad_cobs, bad_crc, bad_length, too_long, damaged) = self._decode(data)
+        decoded, places, (intact, bad_cobs, bad_crc, bad_length, too_long, damaged) = self._decoder.decode(data)
         if damaged:
             counters.noise_bytes += damaged
             counters.bad_crc += bad_crc

@@ -356,24 +356,25 @@ class _Sequence:
         self._next_seq = 0
 
     def _accept(self, frames: Sequence[bytes]) -> _Accepted | None:
-        """Return what is delivered of `frames` (header + payload each), or None."""
+        """Return what is delivered of `frames` (header + payload each, also of several that were joined), or None."""
         config, counters, step, ticks = self.config, self.counters, self._step, self._ticks
         size, stream, cfg_id = config.dtype.itemsize, config.stream, config.cfg_id
         unpack = STREAM_HEADER.unpack_from
         payloads: list[bytes] = []
         runs: list[list[int]] = []
         gaps: list[Gap] = []
-        position, next_tick = 0, -1
+        position, count, next_tick = 0, 0, -1
         for raw in frames:
             if len(raw) < STREAM_OFFSET:
                 counters.malformed += 1
                 continue
             stream_, flags, n, cfg_id_, seq, index, tick = unpack(raw, HEADER_BYTES)
+            joined = 1 + (raw[2] | raw[3] << 8)  # see `Deframer.join`
             if cfg_id_ != cfg_id or stream_ != stream:
-                counters.stale += 1
+                counters.stale += joined
                 continue
             if not n or len(raw) != STREAM_OFFSET + n * size:
-                counters.malformed += 1
+                counters.malformed += joined
                 continue
             expected = self._next_index
             if expected is not None and index == expected & 0xFFFFFFFF and seq == self._next_seq and not flags:
@@ -381,7 +382,7 @@ class _Sequence:
             else:
                 place = self._place(flags, seq, index, position, gaps)
                 if place is None:
-                    counters.out_of_order += 1
+                    counters.out_of_order += joined
                     continue
                 first = place
             if first == expected and runs and (ticks is None or tick == next_tick):
@@ -391,14 +392,21 @@ class _Sequence:
             payloads.append(raw[STREAM_OFFSET:])
             position += n
             self._next_index = first + n * step
-            self._next_seq = (seq + 1) & 0xFFFF
+            self._next_seq = (seq + joined) & 0xFFFF
+            count += joined
             if ticks is not None:
                 next_tick = (tick + n * ticks) & 0xFFFFFFFF
         if not payloads:
             return None
-        counters.frames += len(payloads)
+        counters.frames += count
         counters.samples += position
         return _Accepted(runs, np.frombuffer(b"".join(payloads), config.dtype), tuple(gaps))
+
+    @property
+    def steps(self) -> tuple[int, int, int, int]:
+        """What `Deframer.join` has to know of the stream's frames."""
+        config = self.config
+        return config.cfg_id, config.dtype.itemsize, self._step, -1 if self._ticks is None else self._ticks
 
     def _place(self, flags: int, seq: int, index32: int, position: int, gaps: list[Gap]) -> int | None:
         """Return the unwrapped index of a frame that may not follow the last one; None if it is not newer.

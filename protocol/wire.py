@@ -137,9 +137,13 @@ class ByteWire:
 
     def decoder(self, config: StreamConfig, reference: TickReference) -> Decoder:
         """See `HostWire.decoder`."""
+        decoder: EdgeDecoder | SampleDecoder
         if config.event == StreamEvent.EDGES:
-            return EdgeDecoder(config, reference)
-        return SampleDecoder(config, reference)
+            kind, decoder = MessageType.EDGES, EdgeDecoder(config, reference)
+        else:
+            kind, decoder = MessageType.DATA, SampleDecoder(config, reference)
+        self._deframer.join(kind, config.node, config.stream, decoder.steps)
+        return decoder
 
     def forget(self, node: int) -> None:
         """See `HostWire.forget`: its frames carry another cfg_id, and their decoders will see that."""

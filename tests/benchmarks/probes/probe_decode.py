@@ -53,7 +53,7 @@ def decode(data: bytes, config: Any, read: int) -> tuple[float, list[Any]]:
     """s, and what came of it."""
     host: Any = HostSession()
     tick = host.tick_reference(1)
-    decoder: Any = SampleDecoder(config, TICKS, tick) if OLD else SampleDecoder(config, tick)  # type: ignore[call-arg]
+    decoder: Any = SampleDecoder(config, TICKS, tick) if OLD else host.decoder(config)  # type: ignore[call-arg]
     pieces = [data[k : k + read] for k in range(0, len(data), read)]
     chunks = []
     begun = probe.cpu()
