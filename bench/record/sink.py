@@ -31,7 +31,7 @@ from protocol.streams import EdgeChunk, SampleChunk
 SYNC_PERIOD = 1.0  # s: what a power cut can cost
 BACKLOG_LIMIT = 512 << 20  # bytes waiting for the disk: ten minutes of 16 kHz x 26 channels
 CLOSE_TIMEOUT = 60.0  # s for the disk to take what is left
-INBOX_PERIOD = 0.05  # s between looks for marks that were asked for
+INBOX_PERIOD = 0.1  # s between looks for marks that were asked for
 UNCALLED = 0.03  # s between looks for what came without a call: while a drive is asked something, nobody calls
 SPACE_PERIOD = 2.0  # s between looks at the room on the disk
 HELD_BACK = 0.001  # s between looks of a caller that is faster than the disk
@@ -175,7 +175,7 @@ class RunSink:
         """Write what has come when it is called, or after a while. False at the end of it all."""
         goes_on = True
         with suppress(queue.Empty):
-            goes_on = self._call.get(timeout=UNCALLED if self._coming else INBOX_PERIOD)
+            goes_on = self._call.get(timeout=UNCALLED)
         for _ in range(len(self._coming)):
             self._write(*self._coming.popleft())
         return goes_on

@@ -8,13 +8,9 @@ nobody is there who could read the pipe. It imports little, to be there within s
 import os
 import select
 import sys
-import time
 
 READY = b"\0"
 _AT_ONCE = 16384  # bytes
-_FULL, _NAP = 4095, 0.002
-"""Bytes that Linux hands over of a tty at once; s for which nothing is read after fewer, so that a trickle wakes nobody
-for every piece of it: what holds 4 KiB holds 2 MB/s for so long."""
 
 if sys.platform != "win32":  # where nothing starts it
 
@@ -35,8 +31,6 @@ if sys.platform != "win32":  # where nothing starts it
             if not n:
                 return
             os.write(pipe, there[:n])
-            if n < _FULL:
-                time.sleep(_NAP)
 
     if __name__ == "__main__":
         pump(int(sys.argv[1]), 0, 1)  # what it raises, nobody reads: it has ended

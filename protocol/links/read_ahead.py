@@ -15,9 +15,6 @@ from protocol.links.pump import READY
 PIPE_BYTES = 1 << 20
 """What waits for a host at most, 1.2 s of 26 channels at 16 kHz; less where the system does not allow it."""
 
-TURN = 0.025
-"""s from one read of a stream to the next, at most: what a sample is older by, and how often whoever reads wakes."""
-
 _PROGRAM = Path(__file__).with_name("pump.py")
 
 
@@ -60,12 +57,12 @@ class ReadAhead:
         return not self._waits
 
     def read(self, timeout: float, settle: float) -> bytes | None:
-        """As `Link.read`; None if it has ended. After a read the next one first sleeps for both times, or `TURN` s.
+        """As `Link.read`; None if it has ended. After a read the next one first sleeps for `settle` s.
 
         So whoever reads a stream wakes once for each piece of it, and not for its first bytes, too.
         """
         now = time.monotonic()
-        until, pause = now + timeout, self._read + min(TURN, settle + timeout) - now
+        until, pause = now + timeout, self._read + settle - now
         if settle > 0.0 and (self._behind or pause > 0.0):
             if not self._behind:
                 time.sleep(pause)
