@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import re
-import shutil
 import stat
 import sys
 from collections.abc import Iterator, Mapping
@@ -102,7 +100,7 @@ def write(path: Path, content: str | bytes, what: str) -> None:
         try:
             part.write_bytes(data)
             if file.exists():
-                shutil.copymode(file, part)
+                part.chmod(stat.S_IMODE(file.stat().st_mode))
             part.replace(file)
         except BaseException:
             part.unlink(missing_ok=True)
@@ -113,6 +111,8 @@ def write(path: Path, content: str | bytes, what: str) -> None:
 
 def file_name(name: str) -> str:
     """`name` without what a file system or a shell could mistake: one that Windows takes, too, and not too long."""
+    import hashlib  # OpenSSL and others cost 10 ms: only those who need them pay
+
     made = re.sub(r"[^A-Za-z0-9._-]+", "_", name)
     if len(made) > LONGEST:
         made = f"{made[: LONGEST - 9]}-{hashlib.sha256(name.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"

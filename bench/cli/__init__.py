@@ -10,7 +10,6 @@ import keyword
 import os
 import signal
 import sys
-import traceback
 from typing import Any, NoReturn
 
 import click
@@ -118,6 +117,8 @@ def _explain(error: Exception) -> NoReturn:
     if type(error).__module__.startswith("sim.") and type(error).__name__ == "ConfigError":
         fail(str(error), 2)
     if os.environ.get("BENCH_TRACEBACK"):
+        import traceback
+
         traceback.print_exception(error)
     if isinstance(error, OSError) and error.strerror:
         fail(f"{error.filename}: {error.strerror}" if error.filename else error.strerror, 2)

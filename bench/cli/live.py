@@ -91,16 +91,9 @@ def command(target: str | None, json_file: Path | None, config: Path | None, ope
       bench live serial:/dev/ttyACM0 --speed 500 --yes --duration 20 --save a.run --viewer none
       bench live sim --speed 1000 --load 4 --observer average-speed
     """
-    from bench.live.triggers import Condition
-
     _check(target, config, given)
-    for text in given["trigger"]:
-        Condition.parse(text)
     files = {"--save": given["save"], "--json": json_file}
     check_files(files, given["overwrite"], [config], recordings=["--save"])
-    from bench.rig.settings import read_settings
-
-    station = read_settings(None)
     with ExitStack() as stack:
         drive = None
         if target in (None, "sim"):  # it starts while this process still loads what it needs
@@ -108,6 +101,9 @@ def command(target: str | None, json_file: Path | None, config: Path | None, ope
 
             drive = EmbeddedDrive(config)
             stack.callback(drive.end)
+        from bench.rig.settings import read_settings
+
+        station = read_settings(None)
         _run(target, replace(station, operator=operator or station.operator, config=config), given, json_file, drive)
 
 
@@ -154,6 +150,11 @@ def _check(target: str | None, config: Path | None, given: dict[str, Any]) -> No
     for option, value in (("observer", given["observer"]), ("current", given["current_a"])):
         if value is not None and given["speed_rpm"] is None and given["load_a"] is None:
             raise click.UsageError(f"--{option} needs --speed or --load: without them the drive is only watched")
+    if given["trigger"]:
+        from bench.live.triggers import Condition  # numpy costs 70 ms: only those who need it pay
+
+        for text in given["trigger"]:
+            Condition.parse(text)
     for option in ("keep", "split", "note"):
         if given[option] and given["save"] is None:
             raise click.UsageError(f"--{option} needs --save: nothing is recorded without it")

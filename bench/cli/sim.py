@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-import threading
-from contextlib import suppress
 from typing import Any
 
 import click
 
 from bench.cli.files import FILE, config_option
-from bench.cli.streams import OutputClosed, echo
+from bench.cli.streams import echo
 
 
 def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> None:
@@ -48,13 +43,11 @@ def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> Non
               help="Implementation of the device side of HBP; c (protocol/c) needs a C compiler.")  # fmt: skip
 @click.option("--motors", is_flag=True, is_eager=True, expose_value=False, callback=_list_motors,
               help="List the motors for --config, and exit.")  # fmt: skip
-@click.option("--exit-with-parent", is_flag=True, hidden=True)
 def command(
     bitrate: int | None,
     fd: bool,
     data_bitrate: int | None,
     ext: bool,
-    exit_with_parent: bool,
     device: str,
     settings: tuple[str, ...],
     **given: Any,
@@ -86,20 +79,4 @@ def command(
     rates = BusRates(bitrate or 1_000_000, (data_bitrate or DEFAULT_DATA_BITRATE) if fd else None)
     overrides = dict(parse_override(text) for text in settings)
     options = ServeOptions(rates=rates, extended=ext, overrides=overrides, compiled=device == "c", **given)
-    if exit_with_parent:
-        threading.Thread(target=_end_with_input, daemon=True).start()
-    serve(options, _tell_parent if exit_with_parent else echo)
-
-
-def _end_with_input() -> None:
-    from sim.interrupts import send
-
-    while os.read(sys.stdin.fileno(), 4096):
-        pass
-    send(signal.SIGTERM)
-
-
-def _tell_parent(line: str) -> None:
-    """The end of standard input ends this process, not that of output: the parent reads up to the target only."""
-    with suppress(OutputClosed):
-        echo(line)
+    serve(options, echo)

@@ -143,12 +143,13 @@ class Losses:
 class Client:
     """Talks to every node on one link.
 
-    `reconnect` says how long a lost link is waited for, in s; with 0, `poll` raises LinkClosed at once.
+    `reconnect` says how long a lost link is waited for, in s; with 0, `poll` raises LinkClosed at once. `private`: no
+    other device can be on this link, so that none is waited for at HELLO.
     """
 
-    def __init__(self, link: Link, reconnect: float = 0.0) -> None:
+    def __init__(self, link: Link, reconnect: float = 0.0, private: bool = False) -> None:
         self.link = link
-        self.reconnect = reconnect
+        self.reconnect, self.private = reconnect, private
         self.session = HostSession(link.wire())
         self.sinks: list[Sink] = []
         self.change: Callable[[Chunk], Chunk] = lambda chunk: chunk
@@ -262,7 +263,7 @@ class Client:
 
     def _await_second(self) -> None:
         """Let a second device answer HELLO, too; on a link that takes no time, in virtual time, it has."""
-        if self.session.round_trip > 0.0:
+        if self.session.round_trip > 0.0 and not self.private:
             self.run_for(SECOND + 2 * self.session.round_trip)
 
     def _nobody(self, seconds: float) -> str:

@@ -371,6 +371,10 @@ class Node:
         names, first = ", ".join(fault_names(heartbeat.faults)), fault_names(heartbeat.first_fault)
         return names + (f"; first: {', '.join(first)}" if first and "," in names else "")
 
+    def recent_heartbeat(self) -> Heartbeat | None:
+        """The last heartbeat, if the next one is not late yet."""
+        return self._said_since(self.client.now() - DUE)
+
     def next_heartbeat(self) -> Heartbeat | None:
         """The next heartbeat; the last one, or None, if none comes within 0.5 s."""
         before = self.client.heartbeats.get(self.number)

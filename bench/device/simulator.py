@@ -11,26 +11,24 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.resources import files
 from pathlib import Path
 from typing import Self
 
+import sim
 from bench.errors import BenchError
 from bench.system import APART
 
-# A browser that draws the dashboard without a GPU can keep two cores busy, and this process from feeding the watchdog
-# in time. Nothing real turns, so the drive may wait for a second.
-PATIENT = ("--set", "firmware.watchdog=1.0", "--set", "load.watchdog=1.0")
+_SHIPPED = Path(sim.__file__).parent
 
 
 def motors() -> dict[str, Path]:
     """The motors that are shipped as configurations of the simulated drive, by name."""
-    return {file.stem: file for file in sorted(Path(str(files("sim"))).glob("motors/*.toml"))}
+    return {file.stem: file for file in sorted(_SHIPPED.glob("motors/*.toml"))}
 
 
 def shipped() -> dict[str, Path]:
     """All configurations that are shipped, by name: the motors, and the paper's motor on an unkind bench."""
-    return motors() | {"bench24v": Path(str(files("sim"))) / "bench24v.toml"}
+    return motors() | {"bench24v": _SHIPPED / "bench24v.toml"}
 
 
 def configuration(path: Path, name: str) -> Path:
@@ -50,9 +48,8 @@ class EmbeddedDrive:
     def __init__(self, config: Path | str | None = None, note: Callable[[str], None] = lambda text: None) -> None:
         self.target = ""
         self.note = note
-        arguments = ("--config", str(config)) if config else PATIENT
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "bench", "sim", "--tcp", "127.0.0.1:0", "--exit-with-parent", *arguments],
+            [sys.executable, "-m", "sim.ports.embedded", *([str(config)] if config else [])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

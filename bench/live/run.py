@@ -44,6 +44,7 @@ from bench.signal.units import RPM, pole_pairs
 from bench.signal.verdict import Verdict
 from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError
+from protocol.host import HeartbeatReceived
 from protocol.links import open_link
 from protocol.streams import StreamConfig
 
@@ -223,7 +224,15 @@ class LiveRun:
             self.screen.note(f"dashboard: {outputs.view.url}")
         if augmenter is not None:
             self.client.change = augmenter.take
-        self.node.next_heartbeat()  # the drive's own counts start from this one
+        self._begin_counts()
+
+    def _begin_counts(self) -> None:
+        """The drive's own counts start from a heartbeat: one that has just come, if nothing was streamed then."""
+        beat = None if self.client.unasked else self.node.recent_heartbeat()
+        if beat is None:
+            self.node.next_heartbeat()
+        else:
+            self.client.tell(HeartbeatReceived(self.node.number, beat))
 
     def _sector(self) -> float | None:
         """How long a Hall sector lasts at the highest speed that is asked for, s."""
@@ -481,15 +490,14 @@ def run(
         stack.enter_context(signals_as_exceptions())
         target = "sim" if options.target is None else options.target
         if options.embedded:
-            if options.save is not None or options.viewer != "none":
-                load_beside(options.viewer != "none")
+            load_beside(options.save is not None, options.viewer != "none")
             drive = drive or EmbeddedDrive(options.settings.config)
             drive.note = screen.note
             target = stack.enter_context(drive).target
         held = nullcontext() if options.embedded else alone_on(target)
         plan = Plan(
             lambda: open_link(target), target, options.settings,
-            reconnect=RECONNECT, goes_on=True, passive=options.passive, held=held,
+            reconnect=RECONNECT, goes_on=True, passive=options.passive, held=held, private=options.embedded,
         )  # fmt: skip
         rig = stack.enter_context(Rig(plan))
         if target.startswith("can:") and "/" not in target:  # which bus that is, python-can's files say

@@ -18,7 +18,9 @@ from bench.record.info import Mark, RunInfo, SummaryText
 from bench.record.ring import FOR_EVER, Stored
 from bench.signal.percentiles import Percentiles
 from bench.signal.verdict import Verdict
+from bench.signal.versions import versions
 from bench.view import require_rerun
+from protocol.framing import compiled
 
 if TYPE_CHECKING:
     from bench.record.sink import RunSink
@@ -26,16 +28,21 @@ if TYPE_CHECKING:
     from bench.view.viewer import LiveView
 
 
-def load_beside(view: bool) -> None:
-    """Import what a recording, or a `view`, needs in a thread of its own, while something else is waited for.
+def load_beside(recording: bool, view: bool) -> None:
+    """Import what a link, a recording or a view needs in a thread of its own, while the embedded drive is waited for.
 
     Not a daemon: an interpreter that ends within the import of an extension may abort.
     """
 
     def load() -> None:
         with suppress(Exception):  # who needs it is told; an interpreter that ends refuses some
-            import bench.record.sink
+            import protocol.links.tcp  # noqa: F401
 
+            compiled()
+            if recording or view:
+                import bench.record.sink
+
+                versions()
             if view:
                 import bench.view.dashboard
                 import bench.view.log

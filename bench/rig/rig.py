@@ -81,6 +81,8 @@ class Plan:
     """Nothing is energised, and state, faults and parameters are left alone."""
     held: AbstractContextManager[object] = field(default_factory=nullcontext)
     """What is held as long as the rig is open: the lock on its target."""
+    private: bool = False
+    """No device but this program's own child can be on the link."""
     own_loads: OwnLoads = field(default_factory=OwnLoads)
     """What outlives the rig: objects of the user's load classes."""
 
@@ -120,7 +122,7 @@ class Rig:
             stack.enter_context(plan.held)
             link = plan.link()
             stack.callback(link.close)
-            self.client = Client(link, plan.reconnect)
+            self.client = Client(link, plan.reconnect, plan.private)
             self.client.on_reboot = self._rebooted.add
             node = plan.find(self.client, plan.target)
             self.drive = Drive(node, plan.envelope)
@@ -199,7 +201,11 @@ class Rig:
         node, target = self.drive.node, self.plan.target
         if not self.plan.passive:
             require_rest(node, target, or_fault)
-        elif (beat := node.next_heartbeat()) and not is_off(beat) and any(s.running for s in node.configured_streams()):
+        elif (
+            (beat := node.recent_heartbeat() or node.next_heartbeat())
+            and not is_off(beat)
+            and any(s.running for s in node.configured_streams())
+        ):
             other = f"streams to another host, which has its outputs on ({says(beat)})"
             raise BenchError(f"{target} {other}: watching it would take these streams away")
 

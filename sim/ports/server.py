@@ -45,6 +45,7 @@ STEP = 0.0125  # s between portions: a pty holds what comes meanwhile of the def
 LATE = 0.05  # s of delay that is worth a word
 LATE_PERIOD = 5.0  # s between such words
 WARNING = 4  # level of a LOG
+AWAITED = 1.0  # s
 MAX_BEHIND = 0.1  # s of delay that is caught up; must leave a host's ALIVE in time for the watchdog
 TX_BYTES = 1 << 18  # stream bytes that may wait for a port: 0.3 s of every channel
 MIN_TX_BYTES = 1 << 13
@@ -87,6 +88,8 @@ class ServeOptions:
     """The devices' side of HBP is the one in C (protocol/c)."""
     store: Path | None = None
     """File in which PARAM_COMMIT keeps the drive's parameters; None = it is refused."""
+    awaits: bool = False
+    """The device's time begins when the first client is there, or after `AWAITED`."""
 
 
 def parse_override(text: str) -> tuple[str, Value]:
@@ -233,6 +236,8 @@ def serve(options: ServeOptions, tell: Say) -> None:
                 f"simulated drive (node 1) and load machine (node 2): {len(device.drive.app.channels)} channels at "
                 f"{params.clock.pwm_hz / 1000:g} kHz, pid {os.getpid()}, Ctrl-C ends"
             )
+            if options.awaits:
+                _await_client(port, received)
             server = Server(device, port, time.monotonic(), options.baud, tell)
             _run(server, received, tell)
         tell(server.summary())
@@ -269,6 +274,12 @@ def _run(server: Server, received: set[int], tell: Say) -> None:
             received.difference_update(_PLUG)
             server.port.plug()
             tell(f"target: {server.port.target}")
+
+
+def _await_client(port: Port, received: set[int]) -> None:
+    end = time.monotonic() + AWAITED
+    while not received and time.monotonic() < end and not _waited(port.read_fds(), [], STEP)[0]:
+        pass
 
 
 def _waited(readable: list[int], writable: list[int], timeout: float) -> tuple[bool, bool]:

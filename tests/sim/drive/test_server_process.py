@@ -67,7 +67,7 @@ def test_a_busy_host_does_not_upset_the_pace(start: Callable[..., Sim]) -> None:
     host.link.close()
 
 
-CHILD = (sys.executable, "-X", "importtime", "-m", "bench", "sim", *TCP, "--exit-with-parent")
+CHILD = (sys.executable, "-X", "importtime", "-m", "sim.ports.embedded")
 
 
 def test_a_child_ends_with_its_input_and_loads_no_more_than_a_drive_needs(tmp_path: Path) -> None:
@@ -80,8 +80,8 @@ def test_a_child_ends_with_its_input_and_loads_no_more_than_a_drive_needs(tmp_pa
     assert child.returncode == 0
     assert out.startswith("stopped after ")
     loaded = set(re.findall(r"^import time:.*\| +(\w+)", imports.read_text(), re.MULTILINE))
-    assert {"click", "llvmlite"} <= loaded
-    assert not loaded & {"can", "jinja2", "matplotlib", "numba", "pyarrow", "pytest", "rerun", "rich"}
+    assert "llvmlite" in loaded
+    assert not loaded & {"can", "click", "jinja2", "matplotlib", "numba", "pyarrow", "pydantic", "pytest", "rerun", "rich"}
 
 
 @pytest.mark.campaign("processes")
