@@ -372,8 +372,9 @@ class Node:
         return names + (f"; first: {', '.join(first)}" if first and "," in names else "")
 
     def recent_heartbeat(self) -> Heartbeat | None:
-        """The last heartbeat, if the next one is not late yet."""
-        return self._said_since(self.client.now() - DUE)
+        """The last heartbeat of this boot, if the next one is not late yet."""
+        heartbeat = self._said_since(self.client.now() - DUE)
+        return heartbeat if heartbeat is self.client.heartbeats.get(self.number) else None
 
     def next_heartbeat(self) -> Heartbeat | None:
         """The next heartbeat; the last one, or None, if none comes within 0.5 s."""

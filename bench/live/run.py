@@ -227,8 +227,11 @@ class LiveRun:
         self._begin_counts()
 
     def _begin_counts(self) -> None:
-        """The drive's own counts start from a heartbeat: one that has just come, if nothing was streamed then."""
-        beat = None if self.client.unasked else self.node.recent_heartbeat()
+        """The drive's own counts start from a heartbeat: the next one before anything is energised.
+
+        Else one that has just come will do, if nothing was streamed then.
+        """
+        beat = None if self.acts or self.client.unasked else self.node.recent_heartbeat()
         if beat is None:
             self.node.next_heartbeat()
         else:

@@ -34,7 +34,7 @@ MOMENTS = int(os.environ.get("HALLBENCH_INTERRUPTS", "6" if os.environ.get(CAMPA
 AT_ONCE = 3  # processes: more would starve each other
 LONGEST = 3.0  # s of a command's life in which it is interrupted
 SOON = 10.0  # s from Ctrl-C to the end, on a busy machine
-COMPILING = (2.0, 6.0)  # s after the start
+COMPILING = (0.8, 1.2)  # s after the start
 READY = "import sys; from bench.__main__ import main; print('ready', flush=True); main()"
 """What `bench` runs, with a line when it is called: until then, Ctrl-C is Python's own business."""
 INTERRUPTED = (130, -signal.SIGINT)  # a shell shows 130 for both
