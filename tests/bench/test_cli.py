@@ -170,6 +170,19 @@ def test_help_imports_neither_numba_nor_rerun() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+def test_the_embedded_drive_is_started_before_numpy_is_imported() -> None:
+    """Both take long, and there are two cores: to read the command line needs none of it."""
+    code = (
+        "import sys\nfrom unittest.mock import patch\nfrom bench.cli import cli\nimport bench.device.simulator\n"
+        "class Started(Exception): pass\n"
+        "with patch('bench.device.simulator.EmbeddedDrive', side_effect=Started):\n"
+        "    try: cli(['live', 'sim', '--save', 'a.run', '--json', 'a.json'], standalone_mode=False)\n"
+        "    except Started: print(sorted({'numpy', 'pyarrow', 'json', 'bench.rig.settings'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=LIMIT, env=ENVIRONMENT)
+    assert done.stdout == "[]\n", done.stderr
+
+
 def test_live_imports_numba_only_for_observers_on_the_host_and_no_configuration_of_a_simulated_drive() -> None:
     code = "import sys, bench.live.run; print({'numba', 'pydantic', 'scipy', 'sim.config'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=LIMIT, env=ENVIRONMENT)

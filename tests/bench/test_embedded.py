@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -53,6 +55,20 @@ def test_it_goes_on_when_nobody_reads_what_it_says() -> None:
         bench.client.run_for(0.1)
         assert bench.drive.state == DriveState.IDLE
         assert drive._process.poll() is None
+        link.close()
+
+
+@pytest.mark.slow
+def test_its_time_begins_when_the_host_connects() -> None:
+    with EmbeddedDrive() as drive:
+        with pytest.raises(subprocess.TimeoutExpired):  # it goes on, and waits
+            drive._process.wait(0.3)
+        began = time.monotonic()
+        link = open_link(drive.target)
+        client = Client(link)
+        hello = client.connect()
+        assert client.wait(lambda: hello.node in client.heartbeats, 5.0)
+        assert client.heartbeats[hello.node].tick < (time.monotonic() - began) * hello.tick_hz
         link.close()
 
 

@@ -81,7 +81,7 @@ def test_a_child_ends_with_its_input_and_loads_no_more_than_a_drive_needs(tmp_pa
     assert out.startswith("stopped after ")
     loaded = set(re.findall(r"^import time:.*\| +(\w+)", imports.read_text(), re.MULTILINE))
     assert "llvmlite" in loaded
-    assert not loaded & {"can", "click", "jinja2", "matplotlib", "numba", "pyarrow", "pydantic", "pytest", "rerun", "rich"}
+    assert not loaded & {"can", "click", "jinja2", "matplotlib", "numba", "pyarrow", "pytest", "rerun", "rich"}
 
 
 @pytest.mark.campaign("processes")
