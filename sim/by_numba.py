@@ -18,6 +18,7 @@ from numba.cpython.unsafe import tuple as numba_tuple
 from numba.extending import intrinsic, lower_builtin, overload, type_callable
 
 from protocol.ir_by_numba import ir_by_numba
+from sim.hints import ahead
 from sim.native import SCALARS, Pointer, fields_of, invoke, with_item, zeroed
 
 types: Any = numba_types
@@ -43,6 +44,21 @@ def _type_zeroed(context):  # type: ignore[no-untyped-def]
 @lower_builtin(zeroed, types.NamedTupleClass)  # type: ignore[no-untyped-call]
 def _zeroed(context, builder, call, arguments):  # type: ignore[no-untyped-def]
     return context.get_constant_null(call.return_type)
+
+
+@type_callable(ahead)
+def _type_ahead(context):  # type: ignore[no-untyped-def]
+    return lambda of, k: types.none
+
+
+@lower_builtin(ahead, types.CPointer, types.Integer)  # type: ignore[no-untyped-call]
+def _ahead(context, builder, call, arguments):  # type: ignore[no-untyped-def]
+    byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
+    kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
+    prefetch = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
+    at = builder.bitcast(builder.gep(arguments[0], [arguments[1]]), byte)
+    builder.call(prefetch, [at, *(ir.Constant(word, x) for x in (1, 3, 1))])  # to write, to keep, data
+    return context.get_dummy_value()
 
 
 @templates.infer_getattr

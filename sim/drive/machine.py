@@ -26,7 +26,7 @@ from sim.drive.channels import SOURCES, ampere
 from sim.drive.recorded import Recorded, Sections
 from sim.interrupts import Held
 from sim.native import Cells, address, layout, value
-from sim.observers import average_speed, back_emf, sample
+from sim.observers import average_speed, sample
 from sim.observers.entry import Observing, chosen
 from sim.observers.hall_speed import Edge
 from sim.observers.sample import Sample
@@ -53,7 +53,6 @@ ALWAYS = {AngleSource.VECTOR_TRACKING}  # observers that run in any case
 WARM_UP = 0.1  # s for which an observer runs before the control of a running motor takes its angle
 HALL_RING = ("hall_offset", "hall_swap_hat", "hall_invert_hat")
 SHOWN = 0.98  # of the largest speed that the Hall sensors show
-ROW = layout(tick.Row).itemsize // 8  # words
 PORTION = 2048  # periods that run at most before the observers do: what they see is still near
 _FASTEST = 1200.0  # rad/s, twice what any parameter allows: so many edges find room
 
@@ -333,7 +332,7 @@ class SimulatedBench:
         control, by = self._observers.get(source), (0, 0, 0, 0, 0)
         if control:
             by = control.loop(at + 8 * n * words[control.entry.name] + begin * control.dtype.itemsize)
-        into = at + 8 * begin * ROW, self._samples.at, *self._log
+        into = *(at + 8 * (n * word + begin * size) for word, size in self._sections.loop), self._samples.at, *self._log
         tick.advance(*self._bench, end - begin, reset, *into, *by)
         for other, observing in self._observers.items():
             if other != source:
@@ -342,8 +341,8 @@ class SimulatedBench:
         self.n += end - begin
         self.tick += (end - begin) * self._period_ticks
         if self._warming and end > begin:
-            rows = block[begin * ROW : end * ROW].view(layout(tick.Row))
-            self._squares.append(rows["i_alpha_true"] ** 2 + rows["i_beta_true"] ** 2)
+            alpha, beta = (self._sections.column(block, n, name)[begin:end] for name in ("i_alpha_true", "i_beta_true"))
+            self._squares.append(alpha**2 + beta**2)
             if self.n % warming.EVERY == 0:
                 self._warming.heat(self._constants.plant.motor, float(np.concatenate(self._squares).mean()))
                 self._squares.clear()
@@ -390,7 +389,6 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
         hall_map(drive["hall_swap_hat"], drive["hall_invert_hat"]),
         current_sensor.make_params(**dict(p.current_sensor)),
         sample.make_params(p.clock.tick_hz, chosen(sample.Settings, drive)),
-        back_emf.make_params(p.clock.pwm_hz, *_some(drive, "R_s_hat", "L_s_hat", "tau_max").values()),
         shaft_encoder,
         p.encoder.present,
         p.encoder.index_search,
