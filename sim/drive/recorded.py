@@ -50,9 +50,9 @@ class Sections:
         self._found: dict[str, tuple[int, int, int]] = {}
         self._tables: dict[tuple[int, frozenset[str] | None], _Table] = {}
         self.loop: list[tuple[int, int]] = []
-        """The same of the loop's records, and their own words."""
+        """Bytes of a record of all sections before, and its own, for each of the loop's records."""
         for kind in RECORDS:
-            self.loop.append((self.words, layout(kind).itemsize // _WORD))
+            self.loop.append((_WORD * self.words, layout(kind).itemsize))
             self._add(layout(kind), {name: name for name in kind._fields})
         for entry in running:
             more = {name: name for name in BY_VECTOR_TRACKING} if entry.name == "vector_tracking" else {}
