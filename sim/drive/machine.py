@@ -188,9 +188,13 @@ class SimulatedBench:
         elif self.n < self._slips:
             faults = faults.replace(encoder=faults.encoder.replace(slip_deg=0.0))
         self._now = p.replace(faults=faults)
-        self._constants = _make(self._now, self.parameters, self.load_parameters)
-        self._params.first = self._constants
+        self._use(_make(self._now, self.parameters, self.load_parameters))
         self._warm()
+
+    def _use(self, constants: tick.Params) -> None:
+        """Use these constants from now on."""
+        self._constants = self._params.first = constants
+        self._advance = tick.loop(constants)
 
     def _set_params(self) -> None:
         """Use the parameters as they are now."""
@@ -212,8 +216,7 @@ class SimulatedBench:
         drifted = self._warming.drifted(p.current_sensor.offset, p.current_sensor.gain_error)
         sensor = current_sensor.make_params(**(dict(p.current_sensor) | drifted))
         hall = _hall(p, self._warming.magnet)
-        self._constants = self._constants._replace(plant=plant, current_sensor=sensor, hall=hall)
-        self._params.first = self._constants
+        self._use(self._constants._replace(plant=plant, current_sensor=sensor, hall=hall))
 
     def _observe(self, source: int) -> None:
         """Let the control use another angle: at once, or, where that is not known yet, when it has warmed up."""
@@ -334,7 +337,7 @@ class SimulatedBench:
         if control:
             by = control.loop(at + 8 * n * words[control.entry.name] + begin * control.dtype.itemsize)
         records = [at + n * before + begin * size for before, size in self._sections.loop]
-        tick.advance(*self._bench, end - begin, reset, *records, self._samples.at, *self._log, *by)
+        self._advance(*self._bench, end - begin, reset, *records, self._samples.at, *self._log, *by)
         for other, observing in self._observers.items():
             if other != source:
                 found = at + 8 * n * words[observing.entry.name] + begin * observing.dtype.itemsize

@@ -16,6 +16,7 @@ The loop draws no random numbers but those of the seed in its state, and it does
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +25,8 @@ from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, AngleSource, Eig
 from sim.drive import tick_firmware
 from sim.drive import tick_protection as protection
 from sim.drive.tick_record import edge_codes, quantised, quantised_u16
-from sim.hints import ahead
-from sim.native import Pointer, invoke, native
+from sim.hints import ahead, seldom
+from sim.native import Native, Pointer, invoke, native, specialised
 from sim.numba_cache import kernel
 from sim.observers import hall_speed, sample
 from sim.observers.hall_speed import Edge
@@ -395,12 +396,23 @@ def _sense(params: Params, world: World, on: int, quantiles: Pointer[float]) -> 
         i_alpha -= sensor.delay * motor.g_mean * (motor.R_s * i_alpha - emf * plant.sin)
         i_beta -= sensor.delay * motor.g_mean * (motor.R_s * i_beta + emf * plant.cos)
     i_a, i_b, i_c = pmsm.phases(i_alpha, i_beta)
-    i_a = current_sensor.measure(sensor, i_a, sensor.gain_a, sensor.offset_a, noise.first(quantiles, rng))
-    i_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
-    i_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
+    c_a = current_sensor.measure(sensor, i_a, sensor.gain_a, sensor.offset_a, noise.first(quantiles, rng))
+    c_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
+    c_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
+    if seldom(max(abs(c_a), abs(c_b), abs(c_c)) > sensor.code_max):
+        c_a = min(max(c_a, -sensor.code_max - 1.0), sensor.code_max)
+        c_b = min(max(c_b, -sensor.code_max - 1.0), sensor.code_max)
+        c_c = min(max(c_c, -sensor.code_max - 1.0), sensor.code_max)
     a, per = params.firmware.ampere, params.firmware.per_ampere
     count = encoder.count(params.encoder, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
-    return Sensed(count, quantised(i_a, a, per), quantised(i_b, a, per), quantised(i_c, a, per))
+    q_a = float(np.rint(c_a * sensor.step * per))
+    q_b = float(np.rint(c_b * sensor.step * per))
+    q_c = float(np.rint(c_c * sensor.step * per))
+    if seldom(max(abs(q_a), abs(q_b), abs(q_c)) > 32767.0):
+        q_a = min(max(q_a, -32768.0), 32767.0)
+        q_b = min(max(q_b, -32768.0), 32767.0)
+        q_c = min(max(q_c, -32768.0), 32767.0)
+    return Sensed(count, q_a * a, q_b * a, q_c * a)
 
 
 @kernel
@@ -410,8 +422,36 @@ def _implausible(after: hall_speed.State, before: hall_speed.State, code: int) -
     return after.illegal - before.illegal - sampled + after.skipped - before.skipped
 
 
-@native
-def advance(
+@kernel
+def given(params: Params) -> Params:
+    """The constants as they are."""
+    return params
+
+
+@kernel
+def usual(params: Params) -> Params:
+    """The constants without what most benches do not have: compiled code then has nothing of it."""
+    plant = params.plant
+    legs = plant.inverter.legs._replace(dead=0.0)
+    firmware = params.firmware
+    return params._replace(
+        plant=plant._replace(
+            motor=plant.motor._replace(g_diff=0.0, uneven=0), inverter=plant.inverter._replace(legs=legs)
+        ),
+        link=params.link._replace(R_source=0.0),
+        coupling=params.coupling._replace(stiffness=0.0),
+        hall=params.hall._replace(spread=0.0, latency=0.0, pole_pair_off=0.0, eccentric=0.0),
+        input=params.input._replace(on=0),
+        wiring=params.wiring._replace(swap=0, gap=0.0),
+        rock=params.rock._replace(speed=0.0),
+        current_sensor=params.current_sensor._replace(delay=0.0),
+        encoder=params.encoder._replace(eccentric=0.0, within=0.0, latency=0.0, lost=0.0),
+        firmware=firmware._replace(dead_time=firmware.dead_time._replace(learn=0)),
+        substeps=1,
+    )
+
+
+def _advance(
     params_: Pointer[Params],
     state_: Pointer[State],
     inputs: Pointer[hall_input.State],
@@ -441,7 +481,7 @@ def advance(
 
     The first period of all only takes a sample: nothing has moved yet.
     """
-    params = params_[0]
+    params = known(params_[0])
     state = state_[0]
     command = command_[0]
     motor = params.plant.motor
@@ -525,6 +565,7 @@ def advance(
         )
         angle = tick_firmware.Angle(command.source, theta_enc, omega_enc)
         if observer != 0:
+            ahead(found, (j + AHEAD) * (found_size // 8))
             invoke(observer, observer_params, observer_state, samples, reset, found, found_size, j)
             at = j * (found_size // 8)
             angle = tick_firmware.Angle(command.source, found[at], found[at + 1])
@@ -554,3 +595,18 @@ def advance(
         state = State(k + 1, tick, world, front, tracker, index, firmware)
     state_[0] = state
     count[0] = m
+
+
+def _loop(name: str, known: Callable[[Params], Params]) -> Native:
+    return native(specialised(_advance, name, _advance.__annotations__, known=known))
+
+
+known = given  # in `_advance` one of both
+advance = _loop("advance", given)
+advance_usual = _loop("advance_usual", usual)
+"""The same of a bench whose constants are `usual`."""
+
+
+def loop(params: Params) -> Native:
+    """What runs a bench with these constants."""
+    return advance_usual if usual(params) == params else advance

@@ -49,4 +49,4 @@ def make_params(
 def measure(params: Params, current: float, gain: float, offset: float, normal: float) -> float:
     """The measured current (A) for the true one and a standard normal number."""
     code = float(np.rint((gain * current + offset + params.noise * normal) * params.steps_per_A))
-    return min(max(code, -params.code_max - 1.0), params.code_max) * params.step
+    return code
