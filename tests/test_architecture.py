@@ -21,7 +21,7 @@ DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
 MOST_PARAMETERS = 8
 MOST_LINES = 80
 COMPILED = {"kernel", "native", "intrinsic", "overload"}
-MOST_CODE_LINES = {"bench": 30860, "sim": 8480, "protocol": 5360, "tests": 38050}
+MOST_CODE_LINES = {"bench": 30860, "sim": 8550, "protocol": 5360, "tests": 38050}
 """Whoever raises one says so in the commit."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 

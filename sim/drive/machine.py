@@ -11,7 +11,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from sim.drive import tick_protection as protection
 from sim.drive.channels import SOURCES, ampere
 from sim.drive.recorded import Recorded, Sections
 from sim.interrupts import Held
-from sim.native import Cells, address, layout, value
+from sim.native import Cells, value
 from sim.observers import average_speed, sample
 from sim.observers.entry import Observing, chosen
 from sim.observers.hall_speed import Edge
@@ -418,12 +418,13 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
 
 def _at(block: NDArray[np.float64]) -> int:
     """`address` of what is not empty, in a quarter of its time."""
-    return ctypes.addressof(ctypes.c_char.from_buffer(block))
+    memory: Any = block
+    return ctypes.addressof(ctypes.c_char.from_buffer(memory))
 
 
 def _copied(records: NDArray[np.void]) -> NDArray[np.void]:
     """A copy, by bytes: by fields it takes twice as long."""
-    return np.frombuffer(bytearray(records.tobytes()), records.dtype) if len(records) else records.copy()
+    return np.frombuffer(bytearray(records.tobytes()), records.dtype) if len(records) else records
 
 
 def _hall(p: BenchParams, warmer: float = 0.0) -> hall_sensor.Params:

@@ -24,8 +24,8 @@ import numpy as np
 from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, AngleSource, Eight, Status
 from sim.drive import tick_firmware
 from sim.drive import tick_protection as protection
-from sim.drive.tick_record import edge_codes, quantised, quantised_u16
-from sim.hints import ahead, seldom
+from sim.drive.tick_record import edge_codes, quantised_three, quantised_u16
+from sim.hints import ahead
 from sim.native import Native, Pointer, invoke, native, specialised
 from sim.numba_cache import kernel
 from sim.observers import hall_speed, sample
@@ -395,24 +395,11 @@ def _sense(params: Params, world: World, on: int, quantiles: Pointer[float]) -> 
         emf = motor.n_p * plant.omega_m * motor.psi_f
         i_alpha -= sensor.delay * motor.g_mean * (motor.R_s * i_alpha - emf * plant.sin)
         i_beta -= sensor.delay * motor.g_mean * (motor.R_s * i_beta + emf * plant.cos)
-    i_a, i_b, i_c = pmsm.phases(i_alpha, i_beta)
-    c_a = current_sensor.measure(sensor, i_a, sensor.gain_a, sensor.offset_a, noise.first(quantiles, rng))
-    c_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
-    c_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
-    if seldom(max(abs(c_a), abs(c_b), abs(c_c)) > sensor.code_max):
-        c_a = min(max(c_a, -sensor.code_max - 1.0), sensor.code_max)
-        c_b = min(max(c_b, -sensor.code_max - 1.0), sensor.code_max)
-        c_c = min(max(c_c, -sensor.code_max - 1.0), sensor.code_max)
-    a, per = params.firmware.ampere, params.firmware.per_ampere
+    normal = noise.first(quantiles, rng), noise.second(quantiles, rng), noise.third(quantiles, rng)
+    measured = current_sensor.measure(sensor, pmsm.phases(i_alpha, i_beta), normal)
+    i_a, i_b, i_c = quantised_three(measured, params.firmware.ampere, params.firmware.per_ampere)
     count = encoder.count(params.encoder, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
-    q_a = float(np.rint(c_a * sensor.step * per))
-    q_b = float(np.rint(c_b * sensor.step * per))
-    q_c = float(np.rint(c_c * sensor.step * per))
-    if seldom(max(abs(q_a), abs(q_b), abs(q_c)) > 32767.0):
-        q_a = min(max(q_a, -32768.0), 32767.0)
-        q_b = min(max(q_b, -32768.0), 32767.0)
-        q_c = min(max(q_c, -32768.0), 32767.0)
-    return Sensed(count, q_a * a, q_b * a, q_c * a)
+    return Sensed(count, i_a, i_b, i_c)
 
 
 @kernel

@@ -48,5 +48,5 @@ def test_nothing_is_added(bench, amplitude):
     for where in Injection:
         injected = bench()
         inject(injected, where, amplitude, 123.0)
-        logs.add(injected.advance(1_000).rows.tobytes())
+        logs.add(injected.advance(1_000).block.tobytes())
     assert len(logs) == 1

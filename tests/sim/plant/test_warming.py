@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from sim.drive.tick import RECORDS
 from sim.plant import pmsm
 from sim.plant.warming import Params, Warming
 from tests.sim.drive.rig import Rig
@@ -73,6 +74,7 @@ def test_the_same_bits_whatever_the_portions():
     def record(portions):
         rig = Rig(3, **FAST)
         rig.start()
-        return np.concatenate([rig.advance(n).rows for n in portions]).tobytes()
+        parts = [rig.advance(n) for n in portions]
+        return [np.concatenate([part[name] for part in parts]).tobytes() for of in RECORDS for name in of._fields]
 
     assert record([5000]) == record([1, 1000, 23, 3000, 976])
