@@ -438,6 +438,7 @@ def usual(params: Params) -> Params:
     )
 
 
+@kernel
 def _advance(
     params_: Pointer[Params],
     state_: Pointer[State],
@@ -588,12 +589,11 @@ def _loop(name: str, known: Callable[[Params], Params]) -> Native:
     return native(specialised(_advance, name, _advance.__annotations__, known=known))
 
 
-known = given  # in `_advance` one of both
+known = given  # what `_advance` calls by this name: in each loop its own
 advance = _loop("advance", given)
 advance_usual = _loop("advance_usual", usual)
-"""The same of a bench whose constants are `usual`."""
 
 
 def loop(params: Params) -> Native:
-    """What runs a bench with these constants."""
+    """`_advance` for a bench with these constants: `advance_usual` where they are `usual`."""
     return advance_usual if usual(params) == params else advance
