@@ -188,13 +188,9 @@ class SimulatedBench:
         elif self.n < self._slips:
             faults = faults.replace(encoder=faults.encoder.replace(slip_deg=0.0))
         self._now = p.replace(faults=faults)
-        self._use(_make(self._now, self.parameters, self.load_parameters))
+        self._constants = self._params.first = _make(self._now, self.parameters, self.load_parameters)
+        self._advance = tick.loop(self._constants)
         self._warm()
-
-    def _use(self, constants: tick.Params) -> None:
-        """Use these constants from now on."""
-        self._constants = self._params.first = constants
-        self._advance = tick.loop(constants)
 
     def _set_params(self) -> None:
         """Use the parameters as they are now."""
@@ -216,7 +212,7 @@ class SimulatedBench:
         drifted = self._warming.drifted(p.current_sensor.offset, p.current_sensor.gain_error)
         sensor = current_sensor.make_params(**(dict(p.current_sensor) | drifted))
         hall = _hall(p, self._warming.magnet)
-        self._use(self._constants._replace(plant=plant, current_sensor=sensor, hall=hall))
+        self._constants = self._params.first = self._constants._replace(plant=plant, current_sensor=sensor, hall=hall)
 
     def _observe(self, source: int) -> None:
         """Let the control use another angle: at once, or, where that is not known yet, when it has warmed up."""
