@@ -18,8 +18,10 @@ from numba.cpython.unsafe import tuple as numba_tuple
 from numba.extending import intrinsic, lower_builtin, overload, type_callable
 
 from protocol.ir_by_numba import ir_by_numba
+from sim.hints import ahead, seldom
 from sim.native import SCALARS, Pointer, fields_of, invoke, with_item, zeroed
 
+LINE = 64  # bytes of memory that are fetched together
 types: Any = numba_types
 templates: Any = numba_templates
 tuple_setitem: Any = numba_tuple.tuple_setitem
@@ -43,6 +45,35 @@ def _type_zeroed(context):  # type: ignore[no-untyped-def]
 @lower_builtin(zeroed, types.NamedTupleClass)  # type: ignore[no-untyped-call]
 def _zeroed(context, builder, call, arguments):  # type: ignore[no-untyped-def]
     return context.get_constant_null(call.return_type)
+
+
+@type_callable(seldom)
+def _type_seldom(context):  # type: ignore[no-untyped-def]
+    return lambda condition: types.boolean if condition == types.boolean else None
+
+
+@lower_builtin(seldom, types.boolean)  # type: ignore[no-untyped-call]
+def _seldom(context, builder, call, arguments):  # type: ignore[no-untyped-def]
+    bit = ir.IntType(1)
+    expect = builder.module.declare_intrinsic("llvm.expect", [bit], ir.FunctionType(bit, [bit, bit]))
+    return builder.call(expect, [arguments[0], ir.Constant(bit, 0)])
+
+
+@type_callable(ahead)
+def _type_ahead(context):  # type: ignore[no-untyped-def]
+    return lambda of, k: types.none
+
+
+@lower_builtin(ahead, types.CPointer, types.Integer)  # type: ignore[no-untyped-call]
+def _ahead(context, builder, call, arguments):  # type: ignore[no-untyped-def]
+    byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
+    kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
+    prefetch = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
+    at = builder.bitcast(builder.gep(arguments[0], [arguments[1]]), byte)
+    for begin in range(0, context.get_abi_sizeof(context.get_data_type(call.args[0].dtype)), LINE):
+        line = builder.gep(at, [ir.Constant(word, begin)])
+        builder.call(prefetch, [line, *(ir.Constant(word, x) for x in (1, 3, 1))])  # to write, to keep, data
+    return context.get_dummy_value()
 
 
 @templates.infer_getattr

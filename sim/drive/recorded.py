@@ -14,7 +14,7 @@ from protocol.descriptor import sample_dtype
 from protocol.signals import DRIVE_CHANNELS, LOAD_CHANNELS, Flag, RawType, Signal, Status
 from protocol.streams import EDGE_RECORD
 from sim.drive import tick_record as record
-from sim.drive.tick import Row
+from sim.drive.tick import RECORDS
 from sim.native import Cells, address, layout
 from sim.observers.entry import Entry
 from sim.observers.hall_speed import Edge
@@ -22,6 +22,7 @@ from sim.observers.hall_speed import Edge
 LOAD_DTYPE = sample_dtype(LOAD_CHANNELS)
 FLAGS = {"on": Status.CORRECTION_ON, "sync": Status.INJECTION_SYNC}
 """What the vector-tracking observer adds to the status: fields of its estimates."""
+BY_VECTOR_TRACKING = (*FLAGS, "e_alpha", "e_beta")
 _KINDS = {RawType.I16: record.CLIPPED, RawType.U16: record.UNSIGNED, RawType.U8: record.BYTE, RawType.F32: record.FLOAT}
 _WORD = 8
 
@@ -41,27 +42,37 @@ class Sections:
 
     def __init__(self, running: Sequence[Entry]) -> None:
         self.at: dict[str, int] = {}
-        """Words of a record of all sections before, by the observer's name; "": that of the loop."""
+        """Words of a record of all sections before, by the observer's name."""
         self.words = 0
         """Of a period."""
         self.whole: set[str] = set()
         """Columns of whole numbers."""
         self._found: dict[str, tuple[int, int, int]] = {}
         self._tables: dict[tuple[int, frozenset[str] | None], _Table] = {}
-        self._add("", layout(Row), {name: name for name in Row._fields})
+        self.loop: list[tuple[int, int]] = []
+        """Bytes of a record of all sections before, and its own, for each of the loop's records."""
+        for kind in RECORDS:
+            self.loop.append((_WORD * self.words, layout(kind).itemsize))
+            self._add(layout(kind), {name: name for name in kind._fields})
         for entry in running:
-            more = {name: name for name in FLAGS} if entry.name == "vector_tracking" else {}
-            self._add(entry.name, layout(entry.kinds[2]), {**entry.channels, **more})
+            more = {name: name for name in BY_VECTOR_TRACKING} if entry.name == "vector_tracking" else {}
+            self.at[entry.name] = self.words
+            self._add(layout(entry.kinds[2]), {**entry.channels, **more})
 
-    def _add(self, name: str, kind: np.dtype[np.void], fields: Mapping[str, str]) -> None:
+    def _add(self, kind: np.dtype[np.void], fields: Mapping[str, str]) -> None:
         assert kind.fields is not None
         for column, field in fields.items():
             place = self.words, kind.fields[field][1] // _WORD, kind.itemsize // _WORD
             self._found.setdefault(column, place)
             if kind.fields[field][0].kind == "i":
                 self.whole.add(column)
-        self.at[name] = self.words
         self.words += kind.itemsize // _WORD
+
+    def column(self, block: NDArray[np.float64], n: int, name: str) -> NDArray[np.float64]:
+        """A column of a block of n periods, shape (n,); KeyError if there is none."""
+        section, field, stride = self._found[name]
+        here = block[section * n + field :][: n * stride : stride]
+        return here.view(np.int64) if name in self.whole else here
 
     def where(self, name: str) -> tuple[int, int, int]:
         """Section, field and stride of a column, in words; KeyError if there is none."""
@@ -116,15 +127,7 @@ class Recorded:
 
         Channels of whole numbers come as such. KeyError for a channel of an observer that was not running.
         """
-        section, field, stride = self.sections.where(name)
-        here = self.block[section * self.n + field :][: self.n * stride : stride]
-        return here.view(np.int64) if name in self.sections.whole else here
-
-    @property
-    def rows(self) -> NDArray[np.void]:
-        """All that the loop recorded, records of `Row`, shape (n,)."""
-        kind = layout(Row)
-        return self.block[: self.n * (kind.itemsize // _WORD)].view(kind)
+        return self.sections.column(self.block, self.n, name)
 
     @property
     def edge_tick(self) -> NDArray[np.int64]:

@@ -16,6 +16,7 @@ The loop draws no random numbers but those of the seed in its state, and it does
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +24,11 @@ import numpy as np
 from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, AngleSource, Eight, Status
 from sim.drive import tick_firmware
 from sim.drive import tick_protection as protection
-from sim.drive.tick_record import edge_codes, quantised, quantised_u16
-from sim.native import Pointer, invoke, native
+from sim.drive.tick_record import edge_codes, quantised_three, quantised_u16
+from sim.hints import ahead
+from sim.native import Native, Pointer, invoke, native, specialised
 from sim.numba_cache import kernel
-from sim.observers import back_emf, hall_speed, sample
+from sim.observers import hall_speed, sample
 from sim.observers.hall_speed import Edge
 from sim.observers.sample import Measured, Sample
 from sim.plant import (
@@ -50,6 +52,7 @@ FAULT = tick_firmware.FAULT
 NEVER = hall_wiring.NEVER
 REFRESH = 256  # samples after which the rotor's cosine and sine are computed anew
 NOT_BOOTED = -1
+AHEAD = 8  # records that are fetched before they are written
 
 
 class Params(NamedTuple):
@@ -65,7 +68,6 @@ class Params(NamedTuple):
     hall_map: Eight  # Hall code that the firmware takes its inputs for
     current_sensor: current_sensor.Params
     front: sample.Params
-    back_emf: back_emf.Params
     encoder: encoder.Params
     has_encoder: int  # 1: there is one
     index_search: int  # 1: it begins at zero, wherever the rotor is
@@ -104,7 +106,6 @@ class State(NamedTuple):
     tick: int  # of the next sample
     world: World
     front: sample.State
-    back_emf: back_emf.State
     encoder: encoder.State
     counter: encoder.Index
     firmware: tick_firmware.State
@@ -119,30 +120,9 @@ class Sensed(NamedTuple):
     i_c: float
 
 
-class Row(NamedTuple):
-    """What a period records, by the channels' names where there is one; SI units, not rounded, angles not wrapped."""
+class Moved(NamedTuple):
+    """What a period records of the plant, by the channels' names where there is one; SI units, angles not wrapped."""
 
-    hall: int
-    status: int
-    theta_enc: float
-    omega_enc: float
-    i_a: float
-    i_b: float
-    i_c: float
-    u_alpha: float
-    u_beta: float
-    u_dc: float
-    i_d: float
-    i_q: float
-    i_d_ref: float
-    i_q_ref: float
-    omega_ref: float
-    theta_avg: float
-    omega_avg: float
-    e_alpha: float
-    e_beta: float
-    dead_time_left: float
-    dead_time_near: float
     theta_true: float
     omega_true: float
     tau_e_true: float
@@ -150,6 +130,39 @@ class Row(NamedTuple):
     omega_m: float
     i_alpha_true: float
     i_beta_true: float
+    u_dc: float
+
+
+class Sampled(NamedTuple):
+    """The same of sensors and front end, and of what was in force until the sample."""
+
+    hall: int
+    theta_enc: float
+    omega_enc: float
+    i_a: float
+    i_b: float
+    i_c: float
+    u_alpha: float
+    u_beta: float
+    i_d_ref: float
+    i_q_ref: float
+    theta_avg: float
+    omega_avg: float
+
+
+class Steered(NamedTuple):
+    """The same of the firmware."""
+
+    status: int
+    i_d: float
+    i_q: float
+    omega_ref: float
+    dead_time_left: float
+    dead_time_near: float
+
+
+RECORDS = Moved, Sampled, Steered
+"""Each written as soon as all of it is known: whatever waits takes a register from what is computed meanwhile."""
 
 
 class WireEdge(NamedTuple):
@@ -190,7 +203,7 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
     count = encoder.count(params.encoder, theta_e, 0.0)
     index = encoder.booted(params.encoder, count, params.index_search)
     tracker = encoder.init(encoder.counted(params.encoder, index, count))
-    return State(0, state.tick, world, sample.init(), back_emf.init(), tracker, index, tick_firmware.init())
+    return State(0, state.tick, world, sample.init(), tracker, index, tick_firmware.init())
 
 
 @kernel
@@ -382,13 +395,11 @@ def _sense(params: Params, world: World, on: int, quantiles: Pointer[float]) -> 
         emf = motor.n_p * plant.omega_m * motor.psi_f
         i_alpha -= sensor.delay * motor.g_mean * (motor.R_s * i_alpha - emf * plant.sin)
         i_beta -= sensor.delay * motor.g_mean * (motor.R_s * i_beta + emf * plant.cos)
-    i_a, i_b, i_c = pmsm.phases(i_alpha, i_beta)
-    i_a = current_sensor.measure(sensor, i_a, sensor.gain_a, sensor.offset_a, noise.first(quantiles, rng))
-    i_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
-    i_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
-    a, per = params.firmware.ampere, params.firmware.per_ampere
+    normal = noise.first(quantiles, rng), noise.second(quantiles, rng), noise.third(quantiles, rng)
+    measured = current_sensor.measure(sensor, pmsm.phases(i_alpha, i_beta), normal)
+    i_a, i_b, i_c = quantised_three(measured, params.firmware.ampere, params.firmware.per_ampere)
     count = encoder.count(params.encoder, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
-    return Sensed(count, quantised(i_a, a, per), quantised(i_b, a, per), quantised(i_c, a, per))
+    return Sensed(count, i_a, i_b, i_c)
 
 
 @kernel
@@ -398,8 +409,37 @@ def _implausible(after: hall_speed.State, before: hall_speed.State, code: int) -
     return after.illegal - before.illegal - sampled + after.skipped - before.skipped
 
 
-@native
-def advance(
+@kernel
+def given(params: Params) -> Params:
+    """The constants as they are."""
+    return params
+
+
+@kernel
+def usual(params: Params) -> Params:
+    """The constants without what most benches do not have: compiled code then has nothing of it."""
+    plant = params.plant
+    legs = plant.inverter.legs._replace(dead=0.0)
+    firmware = params.firmware
+    return params._replace(
+        plant=plant._replace(
+            motor=plant.motor._replace(g_diff=0.0, uneven=0), inverter=plant.inverter._replace(legs=legs)
+        ),
+        link=params.link._replace(R_source=0.0),
+        coupling=params.coupling._replace(stiffness=0.0),
+        hall=params.hall._replace(spread=0.0, latency=0.0, pole_pair_off=0.0, eccentric=0.0),
+        input=params.input._replace(on=0),
+        wiring=params.wiring._replace(swap=0, gap=0.0),
+        rock=params.rock._replace(speed=0.0),
+        current_sensor=params.current_sensor._replace(delay=0.0),
+        encoder=params.encoder._replace(eccentric=0.0, within=0.0, latency=0.0, lost=0.0),
+        firmware=firmware._replace(dead_time=firmware.dead_time._replace(learn=0)),
+        substeps=1,
+    )
+
+
+@kernel
+def _advance(
     params_: Pointer[Params],
     state_: Pointer[State],
     inputs: Pointer[hall_input.State],
@@ -407,7 +447,9 @@ def advance(
     quantiles: Pointer[float],
     n: int,
     reset: Pointer[np.uint8],
-    rows: Pointer[Row],
+    moved: Pointer[Moved],
+    sampled: Pointer[Sampled],
+    steered: Pointer[Steered],
     samples: Pointer[Sample],
     edges: Pointer[Edge],
     wire: Pointer[WireEdge],
@@ -419,7 +461,7 @@ def advance(
     found: Pointer[float],
     found_size: int,
 ) -> None:
-    """Run `n` periods into `rows` and `samples`; `reset`: before which samples the observers are initialised.
+    """Run `n` periods into records and `samples`; `reset`: before which samples the observers are initialised.
 
     Edges go to `edges` and `wire` from count[0] on, which is set to how many there are; at most `room`. `observer`: the
     address of the function of the observer that the control uses, 0: none; `found`: its estimates, of `found_size`
@@ -427,7 +469,7 @@ def advance(
 
     The first period of all only takes a sample: nothing has moved yet.
     """
-    params = params_[0]
+    params = known(params_[0])
     state = state_[0]
     command = command_[0]
     motor = params.plant.motor
@@ -442,6 +484,10 @@ def advance(
     for j in range(n):
         first = m
         k = state.k
+        ahead(moved, j + AHEAD)
+        ahead(sampled, j + AHEAD)
+        ahead(steered, j + AHEAD)
+        ahead(samples, j + AHEAD)
         world = state.world
         if k > 0:
             if j == 0 or k == 1:  # a code that changes with the wires is an edge as the period begins
@@ -462,13 +508,18 @@ def advance(
             world = world._replace(rng=noise.advance(world.rng))
 
         plant, electric, code = world.plant, world.electric, params.hall_map[world.wiring.pins]
+        tau = world.beyond.tau
+        if params.coupling.stiffness == 0.0:
+            tau = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, electric.tau, world.alpha_m)
+        omega_e = motor.n_p * plant.omega_m
+        moved[j] = Moved(
+            plant.theta_e, omega_e, electric.tau, tau, plant.omega_m, electric.i_alpha, electric.i_beta, u_dc
+        )
         sensed = _sense(params, world, firmware.driving.now.on, quantiles)
         driving = firmware.driving
         front = state.front
-        emf = state.back_emf
         if reset[j] != 0:
             front = sample.init()
-            emf = back_emf.init()
         hall_before = front.hall
         measured = Measured(
             state.tick,
@@ -482,13 +533,27 @@ def advance(
         )
         front, seen = sample.step(params.front, front, measured, edges, first, m)
         samples[j] = seen
-        emf, e_alpha, e_beta = back_emf.step(params.back_emf, emf, seen)
         index = encoder.sought(params.encoder, state.counter, sensed.absolute, world.rng)
         counter = encoder.counted(params.encoder, index, sensed.absolute)
         tracker, omega_enc = encoder.track(params.encoder, state.encoder, counter)
         theta_enc = encoder.angle(params.encoder, encoder.shown(params.encoder, index, counter))
+        sampled[j] = Sampled(
+            code,
+            theta_enc,
+            omega_enc,
+            sensed.i_a,
+            sensed.i_b,
+            sensed.i_c,
+            driving.now.u_alpha,
+            driving.now.u_beta,
+            driving.i_d_ref,
+            driving.i_q_ref,
+            seen.theta_avg,
+            seen.hall.omega,
+        )
         angle = tick_firmware.Angle(command.source, theta_enc, omega_enc)
         if observer != 0:
+            ahead(found, (j + AHEAD) * (found_size // 8))
             invoke(observer, observer_params, observer_state, samples, reset, found, found_size, j)
             at = j * (found_size // 8)
             angle = tick_firmware.Angle(command.source, found[at], found[at + 1])
@@ -512,40 +577,23 @@ def advance(
         status = drive_state | (min(command.source, OTHER_SOURCE) << STATUS_SOURCE_SHIFT)
         if reset[j] != 0:
             status |= RESET
-        tau = world.beyond.tau
-        if params.coupling.stiffness == 0.0:
-            tau = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, electric.tau, world.alpha_m)
-        rows[j] = Row(
-            code,
-            status,
-            theta_enc,
-            omega_enc,
-            sensed.i_a,
-            sensed.i_b,
-            sensed.i_c,
-            driving.now.u_alpha,
-            driving.now.u_beta,
-            u_dc,
-            result.i_d,
-            result.i_q,
-            driving.i_d_ref,
-            driving.i_q_ref,
-            result.omega_ref,
-            seen.theta_avg,
-            seen.hall.omega,
-            e_alpha,
-            e_beta,
-            firmware.dead_time.left.full,
-            firmware.dead_time.left.near,
-            plant.theta_e,
-            motor.n_p * plant.omega_m,
-            electric.tau,
-            tau,
-            plant.omega_m,
-            electric.i_alpha,
-            electric.i_beta,
-        )
+        left = firmware.dead_time.left
+        steered[j] = Steered(status, result.i_d, result.i_q, result.omega_ref, left.full, left.near)
         tick = state.tick + params.period_ticks
-        state = State(k + 1, tick, world, front, emf, tracker, index, firmware)
+        state = State(k + 1, tick, world, front, tracker, index, firmware)
     state_[0] = state
     count[0] = m
+
+
+def _loop(name: str, known: Callable[[Params], Params]) -> Native:
+    return native(specialised(_advance, name, _advance.__annotations__, known=known))
+
+
+known = given  # what `_advance` calls by this name: in each loop its own
+advance = _loop("advance", given)
+advance_usual = _loop("advance_usual", usual)
+
+
+def loop(params: Params) -> Native:
+    """`_advance` for a bench with these constants: `advance_usual` where they are `usual`."""
+    return advance_usual if usual(params) == params else advance

@@ -12,9 +12,11 @@ import numpy as np
 
 from protocol.signals import ANGLE, MILLI
 from protocol.streams import EDGE_ILLEGAL
+from sim.hints import seldom
 from sim.native import Pointer, native
 from sim.numba_cache import kernel
 
+Three = tuple[float, float, float]
 TWO_PI = 2.0 * math.pi
 PER_RAD = 1.0 / ANGLE
 PER_UNIT = 1.0 / MILLI
@@ -48,9 +50,27 @@ def clipped(value: float) -> int:
 
 
 @kernel
+def _in_i16(count: float) -> float:
+    return min(max(count, -32768.0), 32767.0)
+
+
+@kernel
 def quantised(value: float, scale: float, per_unit: float) -> float:
     """A value as telemetry carries it: a whole number of `scale`, 1 / `per_unit`, a power of two, within an i16."""
-    return float(min(max(np.rint(value * per_unit), -32768.0), 32767.0)) * scale
+    return _in_i16(float(np.rint(value * per_unit))) * scale
+
+
+@kernel
+def quantised_three(values: Three, scale: float, per_unit: float) -> Three:
+    """The same of three values."""
+    a, b, c = (
+        float(np.rint(values[0] * per_unit)),
+        float(np.rint(values[1] * per_unit)),
+        float(np.rint(values[2] * per_unit)),
+    )
+    if seldom(max(abs(a), abs(b), abs(c)) > 32767.0):
+        a, b, c = _in_i16(a), _in_i16(b), _in_i16(c)
+    return a * scale, b * scale, c * scale
 
 
 @kernel

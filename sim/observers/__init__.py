@@ -19,7 +19,7 @@ arguments, in SI units.
     edge_kalman              past the paper: a Kalman filter on Hall edges and back-EMF, of `covariance`,
                              `edge_lessons`, `edge_scales`, `hall_levels` and `hall_places`
     hall_edges               the places of the edges among the drive's parameters
-    back_emf                 (5) and (6), for the observers and for the drive's protection
+    back_emf                 (5) and (6), for the observers
     by_front_end             the average-speed estimate, as an observer like the others
     entry                    what it takes to run one: a function over memory, compiled when it is first asked for
     catalogue                all of them by name, those of other packages too

@@ -10,7 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sim.hints import seldom
 from sim.numba_cache import kernel
+
+Three = tuple[float, float, float]
+"""Phases a, b, c."""
 
 
 class Params(NamedTuple):
@@ -46,7 +50,22 @@ def make_params(
 
 
 @kernel
-def measure(params: Params, current: float, gain: float, offset: float, normal: float) -> float:
-    """The measured current (A) for the true one and a standard normal number."""
-    code = float(np.rint((gain * current + offset + params.noise * normal) * params.steps_per_A))
-    return min(max(code, -params.code_max - 1.0), params.code_max) * params.step
+def _converted(params: Params, current: float, gain: float, offset: float, normal: float) -> float:
+    """The converter's code for a current (A), not held within its range."""
+    return float(np.rint((gain * current + offset + params.noise * normal) * params.steps_per_A))
+
+
+@kernel
+def _held(params: Params, code: float) -> float:
+    return min(max(code, -params.code_max - 1.0), params.code_max)
+
+
+@kernel
+def measure(params: Params, currents: Three, normal: Three) -> Three:
+    """The measured currents (A) of phases a, b, c for the true ones and three standard normal numbers."""
+    a = _converted(params, currents[0], params.gain_a, params.offset_a, normal[0])
+    b = _converted(params, currents[1], params.gain_b, params.offset_b, normal[1])
+    c = _converted(params, currents[2], params.gain_c, params.offset_c, normal[2])
+    if seldom(max(abs(a), abs(b), abs(c)) > params.code_max):
+        a, b, c = _held(params, a), _held(params, b), _held(params, c)
+    return a * params.step, b * params.step, c * params.step

@@ -163,7 +163,7 @@ def kernels() -> list[Native]:
 def _of_a_device() -> list[Native]:
     """The loop first, which takes as long as all the others."""
     observers = dict.fromkeys(entry.function for entry in CATALOGUE.values())
-    return [tick.advance, tick_record.pack, sample.run, can_bits.count, *observers]
+    return [tick.advance, tick.advance_usual, tick_record.pack, sample.run, can_bits.count, *observers]
 
 
 def compile_all() -> None:

@@ -11,6 +11,7 @@ from protocol.messages import DriveState, SetpointMode
 from protocol.signals import DRIVE_CHANNELS
 from sim.config.params import load_params
 from sim.drive.machine import Recorded, SimulatedBench
+from sim.drive.tick import RECORDS
 from sim.native import Cells
 from sim.observers import sample
 from sim.observers.entry import chosen
@@ -64,6 +65,11 @@ class Rig(SimulatedBench):
 
 
 COLUMNS = {"theta_e": "theta_true", "omega_e": "omega_true", "i_alpha": "i_alpha_true", "i_beta": "i_beta_true"}
+
+
+def loop_records(parts: Sequence[Recorded]) -> list[bytes]:
+    """All that the loop recorded, the bits of each column."""
+    return [np.concatenate([part[name] for part in parts]).tobytes() for of in RECORDS for name in of._fields]
 
 
 def column(recorded: Recorded, name: str) -> np.ndarray:

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from rig import PWM_HZ, Rig
+from rig import PWM_HZ, Rig, loop_records
 
 from protocol.signals import Injection, Status
 
@@ -48,5 +48,5 @@ def test_nothing_is_added(bench, amplitude):
     for where in Injection:
         injected = bench()
         inject(injected, where, amplitude, 123.0)
-        logs.add(injected.advance(1_000).rows.tobytes())
+        logs.add(tuple(loop_records([injected.advance(1_000)])))
     assert len(logs) == 1

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rig import Rig
+from rig import Rig, loop_records
 
 from protocol.messages import DriveState, Fault, SetpointMode
 from protocol.signals import STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, AngleSource, Status
@@ -33,10 +33,9 @@ def test_same_seed_same_bits_whatever_the_portions(glitches):
         bench.setpoint(SetpointMode.SPEED, 100.0)
         runs = [bench.advance(n) for n in portions]
         assert bench.n == sum(portions)
-        return [
-            np.concatenate([getattr(run, name) for run in runs]).tobytes()
-            for name in ("samples", "load_samples", "edges", "edge_tick", "rows")
-        ]
+        names = "samples", "load_samples", "edges", "edge_tick"
+        found = [np.concatenate([getattr(run, name) for run in runs]).tobytes() for name in names]
+        return [*found, *loop_records(runs)]
 
     whole = record([3000], 3)
     assert record([1, 0, 7, 256, 1000, 255, 80, 1, 2, 398, 1000], 3) == whole

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig import Rig, physical
+from rig import Rig, loop_records, physical
 from scipy.signal import lfilter
 
 from protocol.messages import DriveState, SetpointMode
@@ -209,19 +209,24 @@ def test_first_sample_is_the_boot():
 
 
 def played():
-    """All that is recorded of a drive with everything that it can have, and a moment with the outputs off."""
+    """All that is recorded of a usual drive and of one with everything that it can have, and a moment with the outputs
+    off."""
     injection = {"firmware.injection.inject": 2, "firmware.injection.inject_hz": 500}
     faults = {"hall.rise_delay": [2e-4] * 3, "hall.bounce": [0.5] * 3, "hall.pulse_rate": [9e2] * 3, "hall.pulse_by": 1,
               "hall.contact_open": [0.3] * 3, "encoder.lost_per_rev": 99.0, "begin": 0.004}  # fmt: skip
     faults = {f"faults.{key}": value for key, value in faults.items()}
-    bench = Rig(5, **{"motor.L_q": 2e-4, "wiring.hall_glitch": 2000, "wiring.hall_swap": 3}, **injection, **faults)
-    bench.load(SetpointMode.SPEED, 300.0)
-    bench.enable()
-    bench.setpoint(SetpointMode.CURRENT, 4.0)
-    one = bench.advance(200)
-    bench.enable(False)
-    records = one, bench.advance(30)
-    return [getattr(r, what).tobytes().hex() for r in records for what in ("samples", "edges", "load_samples", "rows")]
+    full = {"motor.L_q": 2e-4, "wiring.hall_glitch": 2000, "wiring.hall_swap": 3, **injection, **faults}
+    found = []
+    for bench in (Rig(5, **full), Rig(5)):
+        bench.load(SetpointMode.SPEED, 300.0)
+        bench.enable()
+        bench.setpoint(SetpointMode.CURRENT, 4.0)
+        one = bench.advance(200)
+        bench.enable(False)
+        records = one, bench.advance(30)
+        found += [getattr(r, what).tobytes().hex() for r in records for what in ("samples", "edges", "load_samples")]
+        found += [column.hex() for column in loop_records(records)]
+    return found
 
 
 @pytest.mark.slow

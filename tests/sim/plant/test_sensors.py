@@ -86,10 +86,11 @@ def test_encoder_speed_settles_on_the_truth_over_many_turns(omega_m):
 def test_current_sensor_gain_offset_steps_and_range():
     params = current_sensor.make_params(0.0, (0.1, 0.0, 0.0), (0.02, 0.0, 0.0), 20.0, 12)
     step = 20.0 / 2048
-    measured = current_sensor.measure(params, 5.0, params.gain_a, params.offset_a, 0.0)
+    quiet = 0.0, 0.0, 0.0
+    measured, _, _ = current_sensor.measure(params, (5.0, 0.0, 0.0), quiet)
     assert measured == round((5.0 * 1.02 + 0.1) / step) * step
-    assert current_sensor.measure(params, 99.0, params.gain_b, params.offset_b, 0.0) == 2047 * step
-    assert current_sensor.measure(params, -99.0, params.gain_b, params.offset_b, 0.0) == -20.0
+    assert current_sensor.measure(params, (0.0, 99.0, 0.0), quiet)[1] == 2047 * step
+    assert current_sensor.measure(params, (0.0, -99.0, 0.0), quiet)[1] == -20.0
 
 
 def test_noise_is_normal_repeatable_and_seeded():

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from sim.plant import pmsm
 from sim.plant.warming import Params, Warming
-from tests.sim.drive.rig import Rig
+from tests.sim.drive.rig import Rig, loop_records
 
 THERMAL = Params(25.0, 2.5, 5.0, 12.0, 300.0, -0.0011, (0.03, -0.02, 0.01), (0.01, 0.0, -0.01), 20.0)
 MOTOR = pmsm.make_params(0.158, 176e-6, 176e-6, 6.55e-3, 6)
@@ -73,6 +73,6 @@ def test_the_same_bits_whatever_the_portions():
     def record(portions):
         rig = Rig(3, **FAST)
         rig.start()
-        return np.concatenate([rig.advance(n).rows for n in portions]).tobytes()
+        return loop_records([rig.advance(n) for n in portions])
 
     assert record([5000]) == record([1, 1000, 23, 3000, 976])

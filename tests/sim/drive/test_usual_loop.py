@@ -1,0 +1,41 @@
+"""The loop that knows what most benches have not, against the one for all benches."""
+
+import pytest
+from rig import Rig, loop_records
+
+from sim.drive import tick
+
+RARE = {
+    "dc_link.R_source": 0.05,
+    "motor.L_q": 200e-6,
+    "coupling.stiffness": 50.0,
+    "encoder.latency": 20e-6,
+    "current_sensor.delay": 1e-6,
+    "hall.latency": 10e-6,
+    "clock.substeps": 2,
+}
+
+
+def run(general):
+    """Up to speed, with the sensors' wires disturbed for a while: both loops, one after the other."""
+    rig, parts, loops = Rig(7), [], []
+    rig.start()
+    for name, value in (("hall_glitch", 0.0), ("hall_glitch", 300.0), ("hall_glitch", 0.0)):
+        rig.set_load_param(name, value)
+        if general:
+            rig._advance = tick.advance
+        loops.append(rig._advance)
+        parts.append(rig.advance(700) if parts else rig.spin(300.0, 0.1, 0.05))
+    return loops, [*loop_records(parts), *(part.captured.tobytes() for part in parts)]
+
+
+def test_both_loops_agree_bit_for_bit_and_one_takes_over_from_the_other():
+    loops, found = run(general=False)
+    assert loops == [tick.advance_usual, tick.advance, tick.advance_usual]
+    assert found == run(general=True)[1]
+
+
+@pytest.mark.parametrize(("name", "value"), RARE.items(), ids=RARE)
+def test_a_rarer_effect_takes_the_loop_that_has_it(name, value):
+    assert Rig()._advance is tick.advance_usual
+    assert Rig(**{name: value})._advance is tick.advance
