@@ -18,10 +18,9 @@ from unittest.mock import patch
 from protocol.device.state import StateMachine
 from protocol.messages import DriveState, Fault
 from protocol.signals import STATUS_STATE_MASK
-from sim.drive import tick, tick_protection
+from sim.drive import tick_protection
 from sim.drive.apps import DriveApp
-from sim.drive.machine import ROW, SOURCES, SimulatedBench
-from sim.native import layout
+from sim.drive.machine import SOURCES, SimulatedBench
 from sim.observers.entry import Entry
 
 
@@ -154,7 +153,7 @@ def goes_on() -> Iterator[None]:
             said[id(bench)] = real.fget(bench)  # type: ignore[attr-defined]
         if said.get(id(bench)):
             firmware["faults"] = 0
-            status = block[begin * ROW : end * ROW].view(layout(tick.Row))["status"]
+            status = bench._sections.column(block, n, "status")[begin:end]
             status[:] = status & ~STATUS_STATE_MASK | DriveState.FAULT
 
     def entered(bench: SimulatedBench, state: DriveState) -> None:
