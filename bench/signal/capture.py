@@ -229,14 +229,15 @@ class Capture:
         for channel in self.samples.config.channels:
             if self.looked_at is not None and channel.name not in self.looked_at:
                 continue
-            raw = self.samples.raw[channel.name]
-            full = np.zeros(len(raw), bool)
-            if raw.dtype.kind in "iu" and raw.dtype.itemsize > 1 and not channel.flags & Flag.WRAPS:
+            raw, full = np.ascontiguousarray(self.samples.raw[channel.name]), None
+            if raw.dtype.kind in "iu" and raw.dtype.itemsize > 1 and not channel.flags & Flag.WRAPS and len(raw):
                 info = np.iinfo(raw.dtype)
-                full = (raw == info.max) | ((raw == info.min) & (info.min < 0))
+                if raw.max() == info.max or (info.min < 0 and raw.min() == info.min):  # of most channels none is
+                    full = (raw == info.max) | ((raw == info.min) & (info.min < 0))
             if channel.name in ("i_a", "i_b", "i_c"):
-                full |= np.abs(self[channel.name]) >= _NEARLY * i_range
-            if full.any():
+                near = np.abs(self[channel.name]) >= _NEARLY * i_range
+                full = near if full is None else full | near
+            if full is not None and full.any():
                 flaws.append(
                     f"{channel.name} was at the end of its range in {int(full.sum())} samples, first at "
                     f"{self.t[int(np.argmax(full))]:.4f} s"
