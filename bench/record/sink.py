@@ -15,7 +15,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 from bench.errors import RecordingError
@@ -32,7 +31,9 @@ SYNC_PERIOD = 1.0  # s: what a power cut can cost
 BACKLOG_LIMIT = 512 << 20  # bytes waiting for the disk: ten minutes of 16 kHz x 26 channels
 CLOSE_TIMEOUT = 60.0  # s for the disk to take what is left
 INBOX_PERIOD = 0.1  # s between looks for marks that were asked for
-UNCALLED = 0.03  # s between looks for what came without a call: while a drive is asked something, nobody calls
+UNCALLED, AGAIN = 0.03, 0.01
+"""s after a call in which what came without another one is looked for: while a drive is asked something, nobody calls;
+and s between looks from then on."""
 SPACE_PERIOD = 2.0  # s between looks at the room on the disk
 HELD_BACK = 0.001  # s between looks of a caller that is faster than the disk
 
@@ -74,6 +75,7 @@ class RunSink:
         self._wait, self._now = wait, now
         self._coming: deque[_Queued] = deque()
         self._call: queue.SimpleQueue[bool] = queue.SimpleQueue()  # of the thread: to go on, or to end
+        self._patience = AGAIN  # s for which the thread waits for a call
         self._backlog = 0
         self._counting = threading.Lock()  # no Condition: Ctrl-C in the middle of its methods would leave it locked
         self._room = space.Room(stored.keep or math.inf)
@@ -174,8 +176,11 @@ class RunSink:
     def _write_queued(self) -> bool:
         """Write what has come when it is called, or after a while. False at the end of it all."""
         goes_on = True
-        with suppress(queue.Empty):
-            goes_on = self._call.get(timeout=UNCALLED)
+        try:
+            goes_on = self._call.get(timeout=self._patience)
+            self._patience = UNCALLED
+        except queue.Empty:
+            self._patience = AGAIN
         for _ in range(len(self._coming)):
             self._write(*self._coming.popleft())
         return goes_on
