@@ -28,7 +28,8 @@ from protocol.streams import (
 class StreamFrames(NamedTuple):
     """Frames of one stream, DATA or EDGES by `type`, in the order they came: what the stream's decoder takes.
 
-    Edges come before the samples that they precede.
+    Edges come before the samples that they precede. On byte links several that follow each other may be one
+    (`Deframer.join`).
     """
 
     node: int
