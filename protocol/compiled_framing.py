@@ -25,6 +25,8 @@ RESULTS = INTACT, BAD_COBS, BAD_CRC, BAD_LENGTH, TOO_LONG = 0, 1, 2, 3, 4
 _NO_ZERO = b"\xff" * 8
 RECORDS, MOST_RECORDS = 24, 0xFFFF
 """Bytes of the two headers before a stream frame's records, and how many of these one can say that it holds."""
+EDGES = 0x41
+"""Type of a frame of edges; one of samples is one less."""
 ROW = 5
 """Numbers of a stream: its type, node, number and cfg_id in one, the last three of `Followed`, and the index that comes
 next, -1 at first. What is before that its decoder will not take, and nothing is joined to it."""
@@ -237,7 +239,7 @@ def _decode(
                         run, samples, more = first, new, 0
                         found[2 * n], found[2 * n + 1] = first, last
                         n += 1
-                        if row >= 0:
+                        if known and data[run] | 1 == EDGES:  # a device's own tid there says nothing
                             data[run + 2] = data[run + 3] = 0
             begin = end + 1
     count[len(RESULTS) + 1] = n

@@ -52,7 +52,8 @@ def wires(draw: st.DrawFn) -> bytes:
         seq, index = seq + (what == "number"), index + 30 * (what == "jump")
         step = 1 if config is EDGES else DECIMATION
         tick += {"late": 17, "lost": 0}.get(what, 0)
-        changes = {"short": {"short": 1}, "other": {"cfg_id": 99}, "tid": {"tid": draw(st.integers(1, 65_535))}}
+        tid = {"tid": draw(st.sampled_from((0, 0, 3, 65_535)))}  # a device's own, which says nothing
+        changes = {"short": {"short": 1, **tid}, "other": {"cfg_id": 99, **tid}, "tid": tid, "repeated": tid}
         changes["version"] = {"version": 2}
         sent = frame(config, what == "flag", 0 if what == "none" else n, seq, index, tick, **changes.get(what, {}))
         damaged = sent[:-3] + sent[-1:] if what == "cut" else sent
