@@ -153,7 +153,7 @@ class TickReference:
     def unwrap(self, ticks: NDArray[np.uint32]) -> I64:
         """Return 64-bit ticks for 32-bit ones, without changing the reference."""
         base = np.uint32(self.tick + self.shift & 0xFFFFFFFF)
-        return self.tick + (ticks - base).astype(np.int32).astype(np.int64)
+        return np.add((ticks - base).view(np.int32), self.tick, dtype=np.int64)
 
     def unwrap_one(self, tick: int, near: int | None = None) -> int:
         """Return the 64-bit tick for one 32-bit one, `near` another than the reference; that is not changed."""
@@ -509,7 +509,7 @@ class EdgeDecoder(_Sequence):
         """Return the ticks as edges can have them: none before the last one, and none later than now."""
         reference, last = self._reference, self._last_tick
         first = reference.tick - round(QUEUED * self.config.tick_hz) if last is None else last
-        as_told = first <= ticks[0] and ticks[-1] <= reference.latest and bool((np.diff(ticks) >= 0).all())
+        as_told = first <= ticks[0] and ticks[-1] <= reference.latest and bool((ticks[1:] >= ticks[:-1]).all())
         if as_told or not reference.tick_hz:
             return ticks
         dated = ticks.copy()
@@ -550,9 +550,8 @@ def unpack_edges(
 ) -> EdgeChunk:
     """Return wire records (EDGE_RECORD) as a chunk, with their whole ticks and indices."""
     codes = records["codes"]
-    old, new = (codes & 7).astype(np.uint8), (codes >> 3 & 7).astype(np.uint8)
     illegal = (codes & EDGE_ILLEGAL) != 0
-    return EdgeChunk(config, tick, old, new, illegal, records["encoder"].copy(), index, gaps)
+    return EdgeChunk(config, tick, codes & 7, codes >> 3 & 7, illegal, records["encoder"].copy(), index, gaps)
 
 
 def _progressions(starts: Sequence[tuple[int, int]], step: int) -> I64:
