@@ -18,9 +18,13 @@ QUIET = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
     "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.gil.enabled": False,
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.scheduler.work-stealing": False,
     "distributed.worker.multiprocessing-method": METHOD,
 }
-"""No pages, and no samples of where a worker is."""
+"""No pages, and nothing that watches workers closely: that takes a few percent of a core for each of them."""
 
 
 def main() -> None:
@@ -29,6 +33,8 @@ def main() -> None:
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
     threading.Thread(target=_end_with_input, args=(folder,), daemon=True).start()
     if METHOD == "forkserver":  # it loads what workers need while this process does
+        from multiprocessing import forkserver, set_forkserver_preload
+
         set_forkserver_preload(["distributed", "bench.study.worker"])
         forkserver.ensure_running()
     asyncio.run(_serve(workers, folder))
