@@ -1,0 +1,284 @@
+"""What is varied from drive to drive: distributions of figures, correlated ones, and tables of measured drives.
+
+Each takes numbers that are uniform between 0 and 1, and makes figures of them, so that it does not matter how those
+were chosen: at random, by Sobol's sequence, by Latin hypercubes or for Saltelli's estimates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.errors import BenchError
+from protocol.text import did_you_mean
+
+F64 = NDArray[np.float64]
+
+KINDS = {
+    "normal": "[mean, standard deviation]", "uniform": "[lowest, highest]",
+    "triangular": "[lowest, likeliest, highest]", "choice": "a list of values",
+}  # fmt: skip
+"""Distributions, and what is given of each."""
+OPTIONS = {"relative": bool, "together": bool, "within": list}
+EDGE = 1e-12  # uniform numbers are no nearer to 0 and 1: a normal distribution has no end
+
+
+@dataclass(frozen=True)
+class Varied:
+    """One key of the configuration that is varied, or a table of several."""
+
+    key: str
+    """Of the configuration; for a table its name."""
+    kind: str
+    """Of `KINDS`, or `table`."""
+    given: tuple[Any, ...]
+    """See `KINDS`; of a table its columns, each a tuple."""
+    inputs: tuple[str, ...]
+    """Names of what is varied: the key, or one for each number of a list, as hall.delta_deg_1."""
+    base: tuple[float, ...]
+    """What they are where nothing is varied."""
+    relative: bool = False
+    """Whether what is given are multiples of `base`."""
+    together: bool = False
+    """Whether all numbers of a list are the same."""
+    within: tuple[float, float] = (-math.inf, math.inf)
+
+    @property
+    def dimensions(self) -> int:
+        """Uniform numbers that it takes."""
+        return 1 if self.together or self.kind in ("choice", "table") else len(self.inputs)
+
+    @property
+    def continuous(self) -> bool:
+        """Whether it may be correlated with others."""
+        return self.kind not in ("choice", "table") and not self.together
+
+    def of(self, uniform: F64) -> F64:
+        """Values (n, inputs) for uniform numbers (n, dimensions); of a `choice` of lists their numbers, from 0."""
+        if self.kind == "table":
+            return np.array(self.given)[:, self._index(uniform, len(self.given[0]))].T * self._scale
+        if self.kind == "choice":
+            index = self._index(uniform, len(self.given))
+            values = range(len(self.given)) if self.lists else self.given
+            return np.repeat(np.array(list(values), float)[index][:, None], len(self.inputs), 1) * self._scale
+        return np.broadcast_to(self._quantiles(uniform), (len(uniform), len(self.inputs))) * self._scale
+
+    @property
+    def lists(self) -> bool:
+        """Whether lists are chosen from: its value is the number of one."""
+        return self.kind == "choice" and isinstance(self.given[0], list | tuple)
+
+    @property
+    def _scale(self) -> F64 | float:
+        return np.array(self.base) if self.relative else 1.0
+
+    @staticmethod
+    def _index(uniform: F64, n: int) -> NDArray[np.int64]:
+        return np.minimum((uniform[:, 0] * n).astype(np.int64), n - 1)
+
+    def _quantiles(self, uniform: F64) -> F64:
+        from scipy import stats
+
+        a, *more = self.given
+        if self.kind == "normal":
+            distribution = stats.norm(a, more[0])
+        elif self.kind == "uniform":
+            distribution = stats.uniform(a, more[0] - a)
+        else:
+            distribution = stats.triang((more[0] - a) / (more[1] - a), a, more[1] - a)
+        lo, hi = distribution.cdf(self.within)
+        found: F64 = distribution.ppf(lo + np.clip(uniform, EDGE, 1.0 - EDGE) * (hi - lo))
+        return np.clip(found, *self.within)
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        if self.kind == "table":
+            return f"a table of {len(self.given[0])} drives"
+        numbers = ", ".join(f"{one:g}" if isinstance(one, float | int) else str(one) for one in self.given)
+        lo, hi = self.within
+        within = f", within {lo:g} … {hi:g}" if (lo, hi) != (-math.inf, math.inf) else ""
+        each = ", all of the list alike" if self.together else ", each by itself" if len(self.inputs) > 1 else ""
+        return f"{self.kind} {numbers}{' x nominal' if self.relative else ''}{within}{each}"
+
+
+@dataclass(frozen=True)
+class Variation:
+    """All that is varied, and which of it goes together."""
+
+    varied: tuple[Varied, ...]
+    correlated: tuple[tuple[tuple[str, str], float], ...] = ()
+    """Pairs of inputs, with the correlation of the normal numbers that are behind them (a Gaussian copula)."""
+    _root: F64 = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        places = dict(self._places())
+        matrix = np.eye(self.dimensions)
+        for pair, r in self.correlated:
+            for name in pair:
+                if name not in places:
+                    hint = did_you_mean(name, places, f"there are {', '.join(places)}")
+                    raise BenchError(f"correlated: '{name}' is not varied by a distribution of its own: {hint}")
+            a, b = (places[name] for name in pair)
+            matrix[a, b] = matrix[b, a] = r
+        try:
+            root = np.linalg.cholesky(matrix)
+        except np.linalg.LinAlgError:
+            names = ", ".join(f"{a} and {b}: {r:g}" for (a, b), r in self.correlated)
+            raise BenchError(f"these correlations contradict each other ({names}): give smaller ones") from None
+        object.__setattr__(self, "_root", root)
+
+    def _places(self) -> Iterator[tuple[str, int]]:
+        at = 0
+        for one in self.varied:
+            if one.continuous:
+                yield from ((name, at + k) for k, name in enumerate(one.inputs))
+            at += one.dimensions
+
+    @property
+    def dimensions(self) -> int:
+        """Uniform numbers that a drive takes."""
+        return sum(one.dimensions for one in self.varied)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of what is varied, in the order of `of`."""
+        return tuple(name for one in self.varied for name in one.inputs)
+
+    def of(self, uniform: F64) -> F64:
+        """Values (n, inputs) for uniform numbers (n, dimensions)."""
+        if self.correlated:
+            from scipy.special import ndtr, ndtri
+
+            uniform = ndtr(ndtri(np.clip(uniform, EDGE, 1.0 - EDGE)) @ self._root.T)
+        at, found = 0, []
+        for one in self.varied:
+            found.append(one.of(uniform[:, at : at + one.dimensions]))
+            at += one.dimensions
+        return np.concatenate(found, 1) if found else np.empty((len(uniform), 0))
+
+    def changes(self, values: Sequence[float], figures: Mapping[str, Any]) -> dict[str, Any]:
+        """What stands in the configuration `figures` for `values` (inputs,): by dotted key."""
+        found: dict[str, Any] = {}
+        at = 0
+        for one in self.varied:
+            if one.lists:
+                found[one.key] = list(one.given[round(values[at])])
+            for name, value in () if one.lists else zip(one.inputs, values[at:], strict=False):
+                dotted, k, there = leaf(figures, name)
+                if k is None:
+                    found[dotted] = whole(value) if isinstance(there, int) else value
+                else:
+                    found.setdefault(dotted, list(there))[k] = value
+            at += len(one.inputs)
+        return found
+
+
+def whole(value: float) -> float | int:
+    """A whole number as an int."""
+    return int(value) if float(value).is_integer() else value
+
+
+def leaf(figures: Mapping[str, Any], name: str) -> tuple[str, int | None, Any]:
+    """Dotted key, position in a list and value of an input; BenchError where the configuration has none of that name.
+
+    The position is None where the key is a number, or a list that is named as a whole.
+    """
+    there: Any = figures
+    for key in name.split("."):
+        if isinstance(there, Mapping) and key not in there and not isinstance(there, list | tuple):
+            stem, _, number = key.rpartition("_")
+            if (
+                isinstance(there.get(stem), list | tuple)
+                and number.isdecimal()
+                and 1 <= int(number) <= len(there[stem])
+            ):
+                return f"{name[: -len(key)]}{stem}", int(number) - 1, there[stem]
+        there = there.get(key) if isinstance(there, Mapping) else None
+        if there is None:
+            known = list(keys(figures))
+            hint = did_you_mean(name, known, "bench sim --help names the file that has them all")
+            raise BenchError(f"the configuration has no {name}: {hint}")
+    if isinstance(there, Mapping):
+        raise BenchError(f"{name} is a section: name one of {', '.join(f'{name}.{key}' for key in there)}")
+    return name, None, there
+
+
+def keys(figures: Mapping[str, Any], above: str = "") -> Iterator[str]:
+    """Dotted keys of a configuration."""
+    for key, value in figures.items():
+        if isinstance(value, Mapping):
+            yield from keys(value, f"{above}{key}.")
+        else:
+            yield above + key
+
+
+def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) -> Varied:
+    """A line of [vary]: `given` for a key of the configuration. BenchError for what it cannot be."""
+    what = f"vary.{key!r} in {where}"
+    kinds = [kind for kind in KINDS if isinstance(given, Mapping) and kind in given]
+    if len(kinds) != 1:
+        forms = "; ".join(f"{{ {kind} = {form} }}" for kind, form in KINDS.items())
+        raise BenchError(f"{what} must have one of {forms}; got {given!r}")
+    (kind,) = kinds
+    for option, value in given.items():
+        if option != kind and option not in OPTIONS:
+            hint = did_you_mean(option, OPTIONS, f"there are {', '.join(OPTIONS)}")
+            raise BenchError(f"{what} has an unknown '{option}': {hint}")
+        if option in OPTIONS and not isinstance(value, OPTIONS[option]):
+            raise BenchError(f"{what}: {option} must be {_form(OPTIONS[option])}, got {value!r}")
+    dotted, k, there = leaf(figures, key)
+    base = [there[k]] if k is not None else list(there) if isinstance(there, list | tuple) else [there]
+    inputs = [key] if len(base) == 1 else [f"{dotted}_{number}" for number in range(1, len(base) + 1)]
+    if kinds == ["choice"] and isinstance(given["choice"], list) and isinstance((given["choice"] or [0])[0], list):
+        inputs = [key]
+    relative = bool(given.get("relative"))
+    if relative and not all(base):
+        raise BenchError(f"{what}: relative to a nominal value of 0 it would stay 0: leave out relative")
+    values = given[kind]
+    _check_values(kind, values, len(base), what)
+    if kind == "choice" and isinstance(values[0], list) and relative:
+        raise BenchError(f"{what}: lists to choose from cannot be relative")
+    within = _numbers(given.get("within", [-math.inf, math.inf]), f"{what}: within", 2, finite=False)
+    if within[0] >= within[1]:
+        raise BenchError(f"{what}: within must be [lowest, highest], got {list(within)}")
+    made = Varied(
+        key, kind, tuple(values), tuple(inputs), tuple(map(float, base)), relative, bool(given.get("together")),
+        (within[0], within[1]),
+    )  # fmt: skip
+    if kind != "choice" and not np.isfinite(made.of(np.full((1, made.dimensions), 0.5))).all():
+        raise BenchError(f"{what}: nothing of the distribution lies within {list(within)}")
+    return made
+
+
+def _check_values(kind: str, values: Any, n: int, what: str) -> None:
+    if kind == "choice":
+        if not isinstance(values, list) or not values:
+            raise BenchError(f"{what}: choice must be a list of values, got {values!r}")
+        if isinstance(values[0], list):
+            for one in values:
+                _numbers(one, f"{what}: choice", n)
+        else:
+            _numbers(values, f"{what}: choice", len(values))
+        return
+    numbers = _numbers(values, f"{what}: {kind}", 3 if kind == "triangular" else 2)
+    fits = numbers[1] > 0.0 if kind == "normal" else list(numbers) == sorted(numbers) and numbers[0] < numbers[-1]
+    if not fits:
+        raise BenchError(f"{what}: {kind} must be {KINDS[kind]}, got {values!r}")
+
+
+def _numbers(values: Any, what: str, n: int, finite: bool = True) -> tuple[float, ...]:
+    fits = isinstance(values, list | tuple) and len(values) == n
+    fits = fits and all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    if not fits or not all((math.isfinite(v) if finite else not math.isnan(v)) for v in values):
+        raise BenchError(f"{what} must be {n} number{'s' * (n > 1)}, got {values!r}")
+    return tuple(map(float, values))
+
+
+def _form(kind: type) -> str:
+    return {bool: "true or false", list: "[lowest, highest]"}[kind]
