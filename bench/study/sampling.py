@@ -48,13 +48,15 @@ class Points:
     def of(self, samples: Sequence[int]) -> F64:
         """See the class."""
         if self.sampling in (LATIN, SALTELLI) or not self._dimensions:
-            return self._whole[np.asarray(samples, int)]
+            found: F64 = self._whole[np.asarray(samples, int)]
+            return found
         return np.array([self._in_block(*divmod(sample, BLOCK)) for sample in samples]).reshape(-1, self._dimensions)
 
     def _in_block(self, block: int, at: int) -> F64:
         if self._block[0] != block:
             self._block = block, self._made(block)
-        return self._block[1][at]
+        found: F64 = self._block[1][at]
+        return found
 
     def _made(self, block: int) -> F64:
         if self.sampling == RANDOM:
@@ -62,8 +64,10 @@ class Points:
         from scipy.stats import qmc
 
         sequence = qmc.Sobol(self._dimensions, rng=np.random.default_rng(self._seed))
-        sequence.fast_forward(block * BLOCK)
-        return sequence.random(BLOCK)
+        if block:  # by nothing it cannot
+            sequence.fast_forward(block * BLOCK)
+        found: F64 = sequence.random(BLOCK)
+        return found
 
     @cached_property
     def _whole(self) -> F64:
@@ -72,7 +76,9 @@ class Points:
         if self.sampling == LATIN:
             from scipy.stats import qmc
 
-            return qmc.LatinHypercube(self._dimensions, rng=np.random.default_rng(self._seed)).random(self.drives)
+            cube = qmc.LatinHypercube(self._dimensions, rng=np.random.default_rng(self._seed))
+            latin: F64 = cube.random(self.drives)
+            return latin
         try:
             from SALib.sample import sobol
         except ImportError:

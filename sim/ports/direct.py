@@ -7,7 +7,7 @@ simulation. The same configuration, seed and course give the same figures, bit f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from protocol.signals import AngleSource
 from sim.config.params import BenchParams, ConfigError, Value, load_params
 from sim.drive.machine import SOURCES, Recorded, SimulatedBench
 
-__all__ = ["ENCODER", "OBSERVERS", "BenchParams", "ConfigError", "Course", "Driven", "nominal", "with_values"]
+__all__ = ["ENCODER", "OBSERVERS", "BenchParams", "ConfigError", "Course", "Driven", "Recorded", "measured_by", "nominal", "with_values"]
 
 F64 = NDArray[np.float64]
 
@@ -84,6 +84,8 @@ class Driven:
             raise ConfigError(f"load {course.load:g} N m is above load.tau_max = {tau_max:g} N m")
         if course.control:
             bench.set_param("observer", _source(course.control, params))
+        self.watch: Callable[[Recorded], object] = lambda recorded: None
+        """Gets all that is recorded, piece by piece."""
         self._angles = {name: next(iter(SOURCES[OBSERVERS[name]].channels)) for name in course.observers}
         bench.watch(frozenset(self._angles.values()))
 
@@ -96,7 +98,7 @@ class Driven:
         for state in (DriveState.ARMED, DriveState.RUNNING):
             bench.enter_state(state)
             bench.load_enter_state(state)
-            yield bench.advance(1), 0.0, False
+            yield self._advance(1), 0.0, False
         bench.load_setpoint(SetpointMode.TORQUE, self._course.load)
         for speed in self._course.speeds:
             bench.setpoint(SetpointMode.SPEED, speed * RPM)
@@ -104,12 +106,17 @@ class Driven:
             for counts, left in ((False, settle), (True, round(self._course.seconds * pwm_hz) - settle)):
                 while left > 0:
                     n = min(left, round(PIECE * pwm_hz))
-                    recorded = bench.advance(n)
+                    recorded = self._advance(n)
                     left -= n
                     if bench.faults:
                         self.fault = str(bench.faults.name)
                         return
                     yield recorded, speed, counts
+
+    def _advance(self, n: int) -> Recorded:
+        recorded = self._bench.advance(n)
+        self.watch(recorded)
+        return recorded
 
     def measure(self) -> dict[str, float]:
         """Run the course; what was measured of it by name, nothing but `tripped` where the firmware has switched off.
