@@ -25,6 +25,7 @@ KINDS = {
 }  # fmt: skip
 """Distributions, and what is given of each."""
 OPTIONS = {"relative": bool, "together": bool, "within": list}
+LEAST_SHARE = 1e-9  # of a distribution that must lie within its ends
 EDGE = 1e-12  # uniform numbers are no nearer to 0 and 1: a normal distribution has no end
 
 
@@ -81,18 +82,26 @@ class Varied:
     def _index(uniform: F64, n: int) -> NDArray[np.int64]:
         return np.minimum((uniform[:, 0] * n).astype(np.int64), n - 1)
 
-    def _quantiles(self, uniform: F64) -> F64:
+    @property
+    def _distribution(self) -> Any:
         from scipy import stats
 
         a, *more = self.given
         if self.kind == "normal":
-            distribution = stats.norm(a, more[0])
-        elif self.kind == "uniform":
-            distribution = stats.uniform(a, more[0] - a)
-        else:
-            distribution = stats.triang((more[0] - a) / (more[1] - a), a, more[1] - a)
-        lo, hi = distribution.cdf(self.within)
-        found: F64 = distribution.ppf(lo + np.clip(uniform, EDGE, 1.0 - EDGE) * (hi - lo))
+            return stats.norm(a, more[0])
+        if self.kind == "uniform":
+            return stats.uniform(a, more[0] - a)
+        return stats.triang((more[0] - a) / (more[1] - a), a, more[1] - a)
+
+    @property
+    def share(self) -> float:
+        """Of the distribution that lies `within`."""
+        lo, hi = self._distribution.cdf(self.within)
+        return float(hi - lo)
+
+    def _quantiles(self, uniform: F64) -> F64:
+        lo, hi = self._distribution.cdf(self.within)
+        found: F64 = self._distribution.ppf(lo + np.clip(uniform, EDGE, 1.0 - EDGE) * (hi - lo))
         return np.clip(found, *self.within)
 
     @property
@@ -251,7 +260,7 @@ def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) ->
         key, kind, tuple(values), tuple(inputs), tuple(map(float, base)), relative, bool(given.get("together")),
         (within[0], within[1]),
     )  # fmt: skip
-    if kind != "choice" and not np.isfinite(made.of(np.full((1, made.dimensions), 0.5))).all():
+    if kind != "choice" and made.share < LEAST_SHARE:
         raise BenchError(f"{what}: nothing of the distribution lies within {list(within)}")
     return made
 

@@ -89,6 +89,11 @@ class Driven:
         self._angles = {name: next(iter(SOURCES[OBSERVERS[name]].channels)) for name in course.observers}
         bench.watch(frozenset(self._angles.values()))
 
+    @property
+    def channels(self) -> frozenset[str]:
+        """Channels of the observers whose errors are measured."""
+        return frozenset(name for each in self._course.observers for name in SOURCES[OBSERVERS[each]].channels)
+
     def records(self) -> Iterator[tuple[Recorded, float, bool]]:
         """All that it does, piece by piece: the records, the speed that is asked for (r/min), and whether it counts.
 
