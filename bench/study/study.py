@@ -126,9 +126,10 @@ class Study:
 
     def drive(self, row: int, values: Sequence[float] | None = None) -> BenchParams:
         """The drive of a row, whose inputs are `values` where they are known. ConfigError for one that cannot be."""
-        figures = self.figures[self.designs[self.place(row)[2]]]
+        design = self.designs[self.place(row)[2]]
+        figures = self.figures[design]
         values = self.inputs([row])[0].tolist() if values is None else values
-        return with_values(figures, self.variation.changes(values, figures))
+        return with_values(figures, self.variation.changes(values, figures, design))
 
 
 @lru_cache(4)
@@ -138,7 +139,7 @@ def _study_of(text: bytes) -> Study:
 
 def _varied(one: Mapping[str, Any]) -> Varied:
     given = tuple(tuple(v) if isinstance(v, list) else v for v in one["given"])
-    lists = {name: tuple(one[name]) for name in ("inputs", "base", "within")}
+    lists = {name: tuple(one[name]) for name in ("inputs", "base", "within", "only")}
     return Varied(**{**one, **lists, "given": given})
 
 
@@ -167,6 +168,8 @@ def read_study(path: Path, **instead: Any) -> Study:
     varied = [read_varied(key, given, base, where) for key, given in data.get("vary", {}).items()]
     varied += [_read_table(name, given, base, path) for name, given in data.get("tables", {}).items()]
     names = [name for one in varied for name in one.inputs]
+    if unknown := [name for one in varied for name in one.only if name not in figures]:
+        raise BenchError(f"only in {where} names no design '{unknown[0]}': there are {', '.join(figures)}")
     if double := sorted({name for name in names if names.count(name) > 1}):
         raise BenchError(f"{double[0]} is varied twice in {where}")
     experiments = data.get("experiments", {})
@@ -304,7 +307,7 @@ def _check_turn(made: dict[str, Any], what: str) -> None:
     made.setdefault("seconds", 1.0)
     made.setdefault("settle", 0.5 * made["seconds"])
     made.setdefault("control", "")
-    made.setdefault("observers", ["vector_tracking"])
+    made.setdefault("observers", [])
     numbers = [*speeds, made["load"], made["seconds"], made["settle"]]
     if not speeds or not all(isinstance(n, int | float) and math.isfinite(n) for n in numbers):
         raise BenchError(f"{what}: speed, load, seconds and settle must be finite numbers, got {numbers}")

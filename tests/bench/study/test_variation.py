@@ -15,6 +15,7 @@ from bench.study.variation import Variation, Varied, leaf, read_varied
 FIGURES = {
     "motor": {"R_s": 0.2, "n_p": 6, "i_sat": 0.0},
     "hall": {"delta_deg": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), "offset_deg": 0.0},
+    "own": {"list": (0.0,) * 6},
 }
 P = np.linspace(0.01, 0.99, 99)[:, None]
 
@@ -112,9 +113,39 @@ def test_correlations_that_contradict_each_other_are_refused() -> None:
         Variation((*three, varied("motor.n_p", choice=[4, 5])), (((names[0], "motor.n_p"), 0.5),))
 
 
+def test_what_the_firmware_was_told_follows_the_drive_with_an_error_of_its_own() -> None:
+    varying = (
+        varied("hall.offset_deg", follows="motor.R_s", factor=10.0, sd=0.5),
+        varied("motor.R_s", uniform=[1.0, 2.0]),
+        varied("motor.i_sat", follows="motor.R_s", only=["told"]),
+    )
+    variation = Variation(varying)
+    assert variation.dimensions == 2
+    uniform = np.random.default_rng(3).random((20_000, 2))
+    offset, R_s, i_sat = variation.of(uniform).T
+    assert np.array_equal(i_sat, R_s)
+    assert R_s == pytest.approx(1.0 + uniform[:, 1])
+    error = offset - 10.0 * R_s
+    assert error == pytest.approx([0.5 * NormalDist().inv_cdf(u) for u in uniform[:, 0]], abs=1e-9)
+    assert abs(np.corrcoef(error, R_s)[0, 1]) < 0.02
+    assert variation.changes([15.0, 1.5, 1.5], FIGURES, "told")["motor.i_sat"] == 1.5
+    assert "motor.i_sat" not in variation.changes([15.0, 1.5, 1.5], FIGURES, "other")
+    lists = Variation(
+        (varied("hall.delta_deg", uniform=[0, 1]), varied("own.list", follows="hall.delta_deg", factor=2))
+    )
+    got = lists.of(np.random.default_rng(4).random((5, 6)))
+    assert got[:, 6:] == pytest.approx(2.0 * got[:, :6])
+    with pytest.raises(BenchError, match=r"motor.R_s follows motor.n_p, which is not varied: .*hall.offset_deg"):
+        Variation((varied("motor.R_s", follows="motor.n_p"), varied("hall.offset_deg", uniform=[0, 1])))
+
+
 @pytest.mark.parametrize(
     ("key", "given", "words"),
     [
+        ("hall.delta_deg", {"follows": "motor.R_s"}, r"it is 6 numbers, and motor.R_s is 1"),
+        ("motor.R_s", {"follows": "motor.i_sat", "within": [0, 1]}, r"within does not go with follows"),
+        ("motor.R_s", {"normal": [1, 1], "sd": 1}, r"sd does not go with normal"),
+        ("motor.R_s", {"follows": "motor.i_sat", "sd": -1}, r"sd one from 0 on, got 1 and -1"),
         ("motor.R", {"normal": [1, 1]}, r"no motor.R: did you mean motor.R_s"),
         ("hall.delta_deg_7", {"normal": [1, 1]}, r"no hall.delta_deg_7"),
         ("motor", {"normal": [1, 1]}, r"motor is a section: name one of motor.R_s"),

@@ -28,7 +28,8 @@ def test_its_figures_are_those_of_the_same_drive_run_as_a_whole() -> None:
     for rpm in COURSE.speeds:
         bench.setpoint(SetpointMode.SPEED, rpm * 2 * np.pi / 60)
         parts.append((bench.advance(9600), rpm))
-    for name, channel in (("vector_tracking", "theta_vt"), ("edge_kalman", "theta_ek")):
+    angles = {"control": "theta_vt", "vector_tracking": "theta_vt", "edge_kalman": "theta_ek"}
+    for name, channel in angles.items():
         off = np.concatenate([(r["theta_true"] - r[channel])[3200:] for r, _ in parts])
         error = np.degrees(np.angle(np.exp(1j * off)))
         wanted = error.mean(), error.std(), np.sqrt((error**2).mean()), np.abs(error).max()
@@ -41,6 +42,18 @@ def test_its_figures_are_those_of_the_same_drive_run_as_a_whole() -> None:
     assert found["current.rms"] == pytest.approx(np.sqrt((current**2).mean()))
     assert found["tripped"] == 0.0
     assert found.keys() == measured_by(COURSE).keys()
+
+
+@pytest.mark.parametrize(("observer", "channel"), [(0, "theta_enc"), (1, "theta_avg"), (5, "theta_lut")])
+def test_the_angle_in_control_is_measured(observer: int, channel: str) -> None:
+    params = load_params(None, {"firmware.observer": observer, "encoder.offset_deg": 3.0})
+    driven, seen = Driven(params, 1, COURSE._replace(control="", speeds=(500.0,), observers=())), []
+    driven.watch = seen.append
+    found = driven.measure()
+    off = np.concatenate([part["theta_true"] - part[channel] for part in seen])[2 + 3200 :]
+    assert found["control.mean"] == pytest.approx(np.degrees(np.angle(np.exp(1j * off))).mean())
+    if not observer:
+        assert found["control.mean"] == pytest.approx(-3.0, abs=0.2)
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_one_others() -> None:
