@@ -13,9 +13,9 @@ from bench.study.drives import Drives
 from bench.study.pairs import ValuePair, YieldPair, value_pairs, yield_pairs
 from bench.study.rows import Rows
 from bench.study.sensitivity import Sensitivity, sensitivities, varied
-from bench.study.statistics import figure, percent, span
+from bench.study.statistics import Estimate, figure, percent, span
 from bench.study.worst import Worst, worst
-from bench.study.yields import Yield, yields
+from bench.study.yields import ALL, Yield, yields
 from protocol.text import counted
 
 
@@ -72,8 +72,8 @@ def answer(rows: Rows, about: About) -> Answers:
         found,
         [each for drives in designs for each in sensitivities(drives, _once(found), about.saltelli)],
         about.saltelli or tuple(told),
-        [each for drives in designs for each in worst(drives, about.replay)],
-        [pair for a in first for b in others for pair in yield_pairs(a, b)],
+        sorted((one for of in designs for one in worst(Drives(rows, of.design), about.replay)), key=_badness),
+        sorted((pair for a in first for b in others for pair in yield_pairs(a, b)), key=lambda pair: pair.test != ALL),
         [pair for a in first for b in others for pair in value_pairs(a, b, _once(found))],
         tuple(_notes(rows, about, left, designs)),
     )
@@ -94,6 +94,10 @@ def _room(found: Capability) -> tuple[bool, float, float]:
     beyond = max((side.share.value for side in found.sides), default=0.0)
     away = min((side.away.value for side in found.sides if side.away), default=math.inf)
     return not found.sides, -beyond, away
+
+
+def _badness(found: Worst) -> tuple[bool, float]:
+    return found.verdict == "PASS", -math.inf if math.isnan(found.share) else found.share
 
 
 def _notes(rows: Rows, about: About, left: list[str], designs: list[Drives]) -> list[str]:
@@ -127,15 +131,12 @@ def answers(rows: Rows, about: About, found: Answers | None = None) -> dict[str,
     """Plain data for `json.dumps`; numbers that are not finite are None. `found`: where it is there already."""
     found = found or answer(rows, about)
     plain: dict[str, Any] = finite(_named(asdict(found)))
-    for group in ("yield_pairs", "value_pairs"):
-        for written, pair in zip(plain[group], getattr(found, group), strict=True):
-            written["verdict"] = pair.verdict
     return {"title": about.title, "sampling": about.sampling, "drives_wanted": about.sample_count, **plain}
 
 
 def _named(value: Any) -> Any:
     """An estimate by the names of its parts."""
-    if hasattr(value, "_asdict"):
+    if isinstance(value, Estimate):
         return value._asdict()
     if isinstance(value, dict):
         return {key: _named(item) for key, item in value.items()}
@@ -166,11 +167,8 @@ def unknown_words(found: Yield) -> str:
 
 
 def _worst_line(found: Answers) -> list[str]:
-    known = [each for each in found.worst if each.measurement]
-    if not known:
-        return []
-    least = min(known, key=lambda each: (each.verdict == "PASS", each.share))
-    return [f"worst: {least.measurement} {figure(least.value)}, {least.limits}, {least.design}: {least.replay}"]
+    known = [each for each in found.worst if each.measurement][:1]
+    return [f"worst: {one.measurement} {figure(one.value)}, {one.limits}, {one.design}: {one.replay}" for one in known]
 
 
 def _strongest_line(found: Answers) -> list[str]:
@@ -186,5 +184,5 @@ def _strongest_line(found: Answers) -> list[str]:
 
 
 def _pair_lines(found: Answers) -> list[str]:
-    whole = {pair.b: pair for pair in found.yield_pairs}  # the last by design: all tests
-    return [f"{pair.test}: {pair.verdict}" for pair in whole.values()]
+    whole = {pair.b: pair for pair in reversed(found.yield_pairs)}  # of each design the first: all tests
+    return [f"{pair.test}: {pair.verdict}" for pair in reversed(whole.values())]

@@ -35,15 +35,8 @@ class YieldPair:
     difference: Estimate
     """Yield of `b` less that of `a`: D. G. Bonett, R. M. Price, J. Educ. Behav. Stat. 37 (2012), 479."""
 
-    @property
-    def verdict(self) -> str:
-        """In words."""
-        found = self.difference
-        if self.p >= SURE or not found.certain:
-            return f"no difference of yields seen (it is less than {percent(max(-found.lo, found.hi))})"
-        size = Estimate(abs(found.value), *sorted((abs(found.lo), abs(found.hi))))
-        more = "more" if found.value > 0 else "fewer"
-        return f"{percent(size.value)} {more} drives pass in {self.b} than in {self.a} ({span(size, share=True)})"
+    verdict: str
+    """In words."""
 
 
 @dataclass(frozen=True)
@@ -65,19 +58,8 @@ class ValuePair:
     better: Estimate | None
     """Share of drives further within the limits in `b`, of those that differ; None without limits."""
 
-    @property
-    def verdict(self) -> str:
-        """In words."""
-        found, unit = self.difference, f" {self.unit}" if self.unit else ""
-        if found.lo == found.hi == 0.0:
-            return f"the same in all {self.n} drives"
-        if not found.certain:
-            if self.p < SURE and found.value:
-                way = "lower" if found.value < 0 else "higher"
-                return f"{self.b} is {way} in most drives, but the mean tells no difference ({span(found, self.unit)})"
-            return f"no difference seen (it is less than {figure(max(-found.lo, found.hi))}{unit})"
-        words = f"{self.b} is {'lower' if found.value < 0 else 'higher'} by {plus_minus(found)}{unit}"
-        return words if self.p < SURE else f"{words} in the mean, but signs and ranks of the drives do not show it"
+    verdict: str
+    """In words."""
 
 
 def yield_pairs(a: Drives, b: Drives) -> list[YieldPair]:
@@ -105,7 +87,12 @@ def yield_pairs(a: Drives, b: Drives) -> list[YieldPair]:
 def _yield_pair(test: str, a: Drives, b: Drives, n: int, only_a: int, only_b: int) -> YieldPair:
     names = (a.rows.designs[a.design], b.rows.designs[b.design])
     p = float(stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
-    return YieldPair(test, *names, n, only_a, only_b, p, yield_difference(only_a, only_b, n))
+    found = yield_difference(only_a, only_b, n)
+    size = Estimate(abs(found.value), *sorted((abs(found.lo), abs(found.hi))))
+    words = f"{'more' if found.value > 0 else 'fewer'} drives pass in {names[1]} than in {names[0]}"
+    seen = f"{percent(size.value)} {words} ({span(size, share=True)})"
+    none = f"no difference of yields seen (it is less than {percent(max(-found.lo, found.hi))})"
+    return YieldPair(test, *names, n, only_a, only_b, p, found, seen if p < SURE and found.certain else none)
 
 
 def yield_difference(only_a: int, only_b: int, n: int) -> Estimate:
@@ -134,22 +121,26 @@ def value_pairs(a: Drives, b: Drives, names: Sequence[str]) -> list[ValuePair]:
 
 
 def _value_pair(name: str, a: Drives, b: Drives, in_a: F64, in_b: F64) -> ValuePair:
-    limits = a.rows.limits.get(name)
+    limits, names = a.rows.limits.get(name), (a.rows.designs[a.design], b.rows.designs[b.design])
     off = in_b - in_a
     off[np.abs(off) <= 1e-12 * np.abs(in_a)] = 0.0
-    alike = not off.any()
-    return ValuePair(
-        name,
-        a.rows.designs[a.design],
-        b.rows.designs[b.design],
-        limits.unit if limits else "",
-        len(off),
-        float(in_a.std(ddof=1)),
-        Estimate(0.0, 0.0, 0.0) if alike else mean(off),
-        1.0 if alike else float(stats.wilcoxon(off).pvalue),
-        None if alike else spread(in_a, in_b),
-        _better(limits, in_a, in_b) if limits else None,
-    )
+    unit, alike, n = limits.unit if limits else "", not off.any(), len(off)
+    found = Estimate(0.0, 0.0, 0.0) if alike else mean(off)
+    p = 1.0 if alike else float(stats.wilcoxon(off).pvalue)
+    words = f"the same in all {n} drives" if alike else _words(found, p, names[1], unit)
+    better = _better(limits, in_a, in_b) if limits else None
+    ratio = None if alike else spread(in_a, in_b)
+    return ValuePair(name, *names, unit, n, float(in_a.std(ddof=1)), found, p, ratio, better, words)
+
+
+def _words(found: Estimate, p: float, b: str, unit: str) -> str:
+    way, end = "lower" if found.value < 0 else "higher", f" {unit}" if unit else ""
+    if found.certain:
+        words = f"{b} is {way} by {plus_minus(found)}{end}"
+        return words if p < SURE else f"{words} in the mean, but signs and ranks of the drives do not show it"
+    if p < SURE:
+        return f"{b} is {way} in most drives, but the mean tells no difference ({span(found, unit)})"
+    return f"no difference seen (it is less than {figure(max(-found.lo, found.hi))}{end})"
 
 
 def spread(in_a: F64, in_b: F64) -> Estimate | None:

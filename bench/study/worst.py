@@ -42,11 +42,8 @@ class Worst:
 def worst(drives: Drives, replay: Callable[[int], str]) -> list[Worst]:
     """By test the drives that failed or passed with the smallest margin."""
     names, _ = varied(drives.inputs)
-    found = []
-    for test in drives.rows.verdicts:
-        if drives.tried(test):
-            found += _of_test(drives, test, names, replay)
-    return found
+    tests = [test for test in drives.rows.verdicts if drives.tried(test)]
+    return [each for test in tests for each in _of_test(drives, test, names, replay)]
 
 
 def margin_share(limits: Limits, values: F64) -> F64:
@@ -71,10 +68,8 @@ def _of_test(drives: Drives, test: str, names: list[str], replay: Callable[[int]
     at = np.sort(at[rows.judged(test)[at]])
     mine = [name for name in rows.limits if name.startswith(f"{test}.") and name in rows.measured]
     table = [margin_share(rows.limits[name], rows.measured[name][at]) for name in mine]
-    least = np.min([np.where(np.isnan(column), np.inf, column) for column in table], axis=0, initial=np.inf)
+    least = np.fmin.reduce([*table, np.full(len(at), np.inf)])
     passed: NDArray[np.bool_] = rows.passed(test)[at]
-    if not table:
-        least = np.full(len(at), np.inf)
     order = np.lexsort((rows.row[at], least, passed))
     found: list[Worst] = []
     for k in order:
@@ -84,29 +79,18 @@ def _of_test(drives: Drives, test: str, names: list[str], replay: Callable[[int]
         if int(rows.sample[row]) in {worst.sample for worst in found}:
             continue
         which = next((name for name, column in zip(mine, table, strict=True) if column[k] == least[k]), "")
-        found.append(
-            Worst(
-                test,
-                rows.designs[drives.design],
-                int(rows.row[row]),
-                int(rows.sample[row]),
-                str(rows.verdicts[test][row]),
-                which,
-                float(rows.measured[which][row]) if which else np.nan,
-                str(rows.limits[which]) if which else "",
-                float(least[k]) if which else np.nan,
-                _unusual(drives, int(rows.sample[row]), names),
-                replay(int(rows.row[row])),
-            )
-        )
+        found.append(Worst(
+            test, rows.designs[drives.design], int(rows.row[row]), int(rows.sample[row]), str(rows.verdicts[test][row]),
+            which, float(rows.measured[which][row]) if which else np.nan, str(rows.limits[which]) if which else "",
+            float(least[k]) if which else np.nan, _unusual(drives, int(rows.sample[row]), names),
+            replay(int(rows.row[row])),
+        ))  # fmt: skip
     return found
 
 
 def _unusual(drives: Drives, sample: int, names: list[str]) -> tuple[tuple[str, float, float], ...]:
     at = int(np.searchsorted(drives.sample, sample))
-    found = []
-    for name in names:
-        values = drives.inputs[name]
-        found.append((name, float(values[at]), float((values[at] - values.mean()) / values.std())))
+    inputs = [(name, drives.inputs[name]) for name in names]
+    found = [(name, float(x[at]), float((x[at] - x.mean()) / x.std())) for name, x in inputs]
     found.sort(key=lambda each: -abs(each[2]))
     return tuple(each for each in found[:SHOWN] if abs(each[2]) >= UNUSUAL)

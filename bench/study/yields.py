@@ -30,7 +30,7 @@ class Yield:
 
 
 def yields(designs: Sequence[Drives]) -> list[Yield]:
-    """By design and test, all tests of the design last; tests that a design does not have are left out."""
+    """By test and design, all tests first; tests that a design does not have are left out."""
     found = []
     for drives in designs:
         tests = [test for test in drives.rows.verdicts if drives.tried(test)]
@@ -41,17 +41,11 @@ def yields(designs: Sequence[Drives]) -> list[Yield]:
             found.append(_yield(test, drives, int(passed.sum()), int(failed.sum())))
         if len(tests) > 1:
             found.append(_yield(ALL, drives, int(every.sum()), int(some.sum())))
-    return found
+    order = [ALL, *(designs[0].rows.verdicts if designs else ())]
+    return sorted(found, key=lambda each: order.index(each.test))
 
 
 def _yield(test: str, drives: Drives, passed: int, failed: int) -> Yield:
     n, judged = len(drives), passed + failed
-    return Yield(
-        test,
-        drives.rows.designs[drives.design],
-        passed,
-        failed,
-        n - judged,
-        share(passed, judged) if judged else None,
-        (passed / n, (n - failed) / n),
-    )
+    known, bounds = share(passed, judged) if judged else None, (passed / n, (n - failed) / n)
+    return Yield(test, drives.rows.designs[drives.design], passed, failed, n - judged, known, bounds)
