@@ -177,7 +177,7 @@ def read_study(path: Path, **instead: Any) -> Study:
         raise BenchError(f"{where} has no experiment: write [experiments.NAME] with {', '.join(EXPERIMENT)}")
     plan = {
         "name": data.get("name", path.stem), "samples": samples, "repetitions": repetitions, "seed": seed,
-        "sampling": sampling, "drive": data.get("drive", ""), "figures": figures,
+        "sampling": sampling, "drive": data.get("drive", ""), "designs": data.get("designs", {}), "figures": figures,
         "varied": [_plain(one) for one in varied],
         "correlated": [_correlated(one, where) for one in data.get("correlated", [])],
         "experiments": {name: _experiment(name, one, path) for name, one in experiments.items()},

@@ -63,6 +63,13 @@ class Varied:
         return 1 if self.together or self.kind in ("choice", "table") else len(self.inputs)
 
     @property
+    def factors(self) -> tuple[str, ...]:
+        """What each of these stands for."""
+        if self.kind == "follows":
+            return tuple(f"error of {name}" for name in self.inputs[: self.dimensions])
+        return self.inputs if self.dimensions == len(self.inputs) else (self.key,)
+
+    @property
     def continuous(self) -> bool:
         """Whether it may be correlated with others."""
         return self.kind not in ("choice", "table", "follows") and not self.together
@@ -190,6 +197,11 @@ class Variation:
     def dimensions(self) -> int:
         """Uniform numbers that a drive takes."""
         return sum(one.dimensions for one in self.varied)
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """What each of the uniform numbers stands for."""
+        return tuple(name for one in self.varied for name in one.factors)
 
     @property
     def inputs(self) -> tuple[str, ...]:
