@@ -11,7 +11,7 @@ from bench.study.answers import About
 from bench.study.experiments import limits_of, test_of
 from bench.study.sampling import LATIN, RANDOM, SALTELLI, SOBOL
 from bench.study.store import MADE_BY
-from bench.study.study import ACCEPT, FUNCTION, TURN, Experiment, Study
+from bench.study.study import ACCEPT, FUNCTION, TURN, VARY, Experiment, Study
 from protocol.text import counted
 
 SAMPLING = {
@@ -43,8 +43,8 @@ def _facts(study: Study, folder: Path) -> Iterator[tuple[str, str]]:
     for (a, b), r in study.variation.correlated:
         yield f"{a}, {b}", f"correlated, {r:g}"
     for design, changes in study.plan["designs"].items():
-        if changes:
-            yield f"Design {design}", ", ".join(f"{key} = {value}" for key, value in changes.items())
+        if told := ", ".join(f"{key} = {value}" for key, value in changes.items() if key != VARY):
+            yield f"Design {design}", told
     for experiment in study.experiments:
         yield f"Experiment {experiment.name}", _told(study, experiment)
     made_by = json.loads((folder / MADE_BY).read_text("utf-8"))

@@ -19,8 +19,8 @@ import hashlib
 import json
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from bench.device.simulator import configuration
 from bench.errors import BenchError
 from bench.signal.limits import Limits
 from bench.study.sampling import SAMPLINGS, SOBOL, Points, noise_seed
-from bench.study.variation import Variation, Varied, leaf, read_varied
+from bench.study.variation import Variation, Varied, in_design, leaf, read_varied
 from protocol.text import did_you_mean
 from sim.ports.direct import ENCODER, OBSERVERS, BenchParams, ConfigError, nominal, with_values
 
@@ -37,6 +37,7 @@ TOP: dict[str, Any] = {
     "samples": int, "repetitions": int, "seed": int, "sampling": str, "drive": str, "name": str,
     "set": dict, "vary": dict, "correlated": list, "tables": dict, "designs": dict, "experiments": dict,
 }  # fmt: skip
+VARY = "vary"
 MOST = 10**9
 """Rows, at most."""
 AS_CONFIGURED = "as configured"
@@ -165,11 +166,9 @@ def read_study(path: Path, **instead: Any) -> Study:
         raise BenchError(f"sampling in {where} is '{sampling}': {hint}")
     figures = _figures(data, path)
     base = next(iter(figures.values()))
-    varied = [read_varied(key, given, base, where) for key, given in data.get("vary", {}).items()]
+    varied = list(_read_vary(data, base, where))
     varied += [_read_table(name, given, base, path) for name, given in data.get("tables", {}).items()]
     names = [name for one in varied for name in one.inputs]
-    if unknown := [name for one in varied for name in one.only if name not in figures]:
-        raise BenchError(f"only in {where} names no design '{unknown[0]}': there are {', '.join(figures)}")
     if double := sorted({name for name in names if names.count(name) > 1}):
         raise BenchError(f"{double[0]} is varied twice in {where}")
     experiments = data.get("experiments", {})
@@ -220,10 +219,22 @@ def _figures(data: Mapping[str, Any], path: Path) -> dict[str, dict[str, Any]]:
     for name, changes in designs.items():
         _require(changes, dict, f"designs.{name}", str(path))
         try:
-            found[name] = nominal(config, data.get("set", {}) | changes)
+            found[name] = nominal(config, data.get("set", {}) | {k: v for k, v in changes.items() if k != VARY})
         except ConfigError as error:
             raise BenchError(f"{'designs.' + name if data.get('designs') else 'set'} in {path}: {error}") from None
     return found
+
+
+def _read_vary(data: Mapping[str, Any], figures: Mapping[str, Any], where: str) -> Iterator[Varied]:
+    """The lines of [vary], and of those of designs, which stand in their place."""
+    own = {design: changes.get(VARY, {}) for design, changes in data.get("designs", {}).items()}
+    for key, given in data.get(VARY, {}).items():
+        others = tuple(design for design in own if key not in own[design])
+        yield replace(read_varied(key, given, figures, where), only=others if len(others) < len(own) else ())
+    for design, lines in own.items():
+        _require(lines, dict, f"designs.{design}.{VARY}", where)
+        for key, given in lines.items():
+            yield in_design(read_varied(key, given, figures, where), design)
 
 
 def _read_table(name: str, given: Any, figures: Mapping[str, Any], path: Path) -> Varied:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,9 +26,11 @@ KINDS = {
 }  # fmt: skip
 """Distributions, and what is given of each."""
 OPTIONS: dict[str, Any] = {
-    "relative": bool, "together": bool, "within": list, "only": list, "factor": (int, float), "sd": (int, float)
+    "relative": bool, "together": bool, "within": list, "factor": (int, float), "sd": (int, float)
 }  # fmt: skip
-OF_FOLLOWERS = ("factor", "sd", "only")
+OF_FOLLOWERS = ("factor", "sd")
+AT = "@"
+"""Before the design, in the name of what is varied in one alone."""
 LEAST_SHARE = 1e-9  # of a distribution that must lie within its ends
 EDGE = 1e-12  # uniform numbers are no nearer to 0 and 1: a normal distribution has no end
 
@@ -232,14 +234,21 @@ class Variation:
             if one.only and design not in one.only:
                 continue
             if one.lists:
-                found[one.key] = list(one.given[round(values[at])])
+                found[one.key.partition(AT)[0]] = list(one.given[round(values[at])])
             for name, value in () if one.lists else zip(one.inputs, values[at:], strict=False):
-                dotted, k, there = leaf(figures, name)
+                dotted, k, there = leaf(figures, name.partition(AT)[0])
                 if k is None:
                     found[dotted] = whole(value) if isinstance(there, int) else value
                 else:
                     found.setdefault(dotted, list(there))[k] = value
         return found
+
+
+def in_design(one: Varied, design: str) -> Varied:
+    """What is varied in one design alone."""
+    return replace(
+        one, key=f"{one.key}{AT}{design}", inputs=tuple(f"{name}{AT}{design}" for name in one.inputs), only=(design,)
+    )
 
 
 def whole(value: float) -> float | int:
@@ -295,7 +304,6 @@ def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) ->
             raise BenchError(f"{what} has an unknown '{option}': {hint}")
         if option in OPTIONS and not isinstance(value, OPTIONS[option]):
             raise BenchError(f"{what}: {option} must be {_form(OPTIONS[option])}, got {value!r}")
-    only = tuple(map(str, given.get("only", ())))
     if unfit := sorted(
         given.keys() & ({*OF_FOLLOWERS} - {"only"} if kind != "follows" else {*OPTIONS} - {*OF_FOLLOWERS})
     ):
@@ -306,7 +314,7 @@ def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) ->
     if kinds == ["choice"] and isinstance(given["choice"], list) and isinstance((given["choice"] or [0])[0], list):
         inputs = [key]
     if kind == "follows":
-        return _follower(key, given, tuple(inputs), base, only, figures, what)
+        return _follower(key, given, tuple(inputs), base, figures, what)
     relative = bool(given.get("relative"))
     if relative and not all(base):
         raise BenchError(f"{what}: relative to a nominal value of 0 it would stay 0: leave out relative")
@@ -319,7 +327,7 @@ def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) ->
         raise BenchError(f"{what}: within must be [lowest, highest], got {list(within)}")
     made = Varied(
         key, kind, tuple(values), tuple(inputs), tuple(map(float, base)), relative, bool(given.get("together")),
-        (within[0], within[1]), only,
+        (within[0], within[1]),
     )  # fmt: skip
     if kind != "choice" and made.share < LEAST_SHARE:
         raise BenchError(f"{what}: nothing of the distribution lies within {list(within)}")
@@ -327,8 +335,8 @@ def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) ->
 
 
 def _follower(
-    key: str, given: Mapping[str, Any], inputs: tuple[str, ...], base: Sequence[float], only: tuple[str, ...],
-    figures: Mapping[str, Any], what: str,
+    key: str, given: Mapping[str, Any], inputs: tuple[str, ...], base: Sequence[float], figures: Mapping[str, Any],
+    what: str,
 ) -> Varied:  # fmt: skip
     other, factor, sd = given["follows"], float(given.get("factor", 1.0)), float(given.get("sd", 0.0))
     dotted, k, there = leaf(figures, str(other))
@@ -338,7 +346,7 @@ def _follower(
     if not (math.isfinite(factor) and 0.0 <= sd < math.inf):
         raise BenchError(f"{what}: factor must be a number and sd one from 0 on, got {factor:g} and {sd:g}")
     names = [other] if n == 1 else [f"{dotted}_{number}" for number in range(1, n + 1)]
-    return Varied(key, "follows", (*names, factor, sd), inputs, tuple(map(float, base)), only=only)
+    return Varied(key, "follows", (*names, factor, sd), inputs, tuple(map(float, base)))
 
 
 def _check_values(kind: str, values: Any, n: int, what: str) -> None:

@@ -61,6 +61,18 @@ def test_the_firmware_still_takes_the_motor_for_the_nominal_one(tmp_path: Path) 
         assert drive.replace(motor=nominal.motor, hall=nominal.hall) == nominal
 
 
+def test_a_design_may_vary_a_figure_otherwise(tmp_path: Path) -> None:
+    """As each firmware is told it; the drive is the same."""
+    text = TEN_LINES.replace("[vary]", '[vary]\n"firmware.R_s_hat" = { follows = "motor.R_s", sd = 0.05 }')
+    text += '[designs.rough]\n[designs.exact.vary]\n"firmware.R_s_hat" = { follows = "motor.R_s" }\n'
+    study = read_study(written(tmp_path, text))
+    assert "firmware.R_s_hat@exact" in study.variation.inputs
+    rough, exact = ([study.drive(2 * k + design) for k in range(8)] for design in (0, 1))
+    assert [one.motor for one in rough] == [one.motor for one in exact]
+    assert all(one.firmware.R_s_hat == one.motor.R_s for one in exact)
+    assert all(one.firmware.R_s_hat != one.motor.R_s for one in rough)
+
+
 def test_another_motor_is_the_nominal_one(tmp_path: Path) -> None:
     study = read_study(written(tmp_path, 'drive = "linix-45zwn24-40"\n' + TEN_LINES))
     assert study.drive(0).motor.n_p == load_params(Path("sim/motors/linix-45zwn24-40.toml")).motor.n_p

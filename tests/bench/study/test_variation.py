@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from statistics import NormalDist
 from typing import Any
 
@@ -117,7 +118,7 @@ def test_what_the_firmware_was_told_follows_the_drive_with_an_error_of_its_own()
     varying = (
         varied("hall.offset_deg", follows="motor.R_s", factor=10.0, sd=0.5),
         varied("motor.R_s", uniform=[1.0, 2.0]),
-        varied("motor.i_sat", follows="motor.R_s", only=["told"]),
+        replace(varied("motor.i_sat", follows="motor.R_s"), only=("told",)),
     )
     variation = Variation(varying)
     assert variation.dimensions == 2
