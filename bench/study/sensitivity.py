@@ -77,14 +77,16 @@ class Sensitivity:
         return next((index for index in self.indices if index.matters), None)
 
 
-def sensitivities(drives: Drives, names: Sequence[str], saltelli: Sequence[str]) -> list[Sensitivity]:
-    """Of these measurements; `saltelli` are the factors of such a design, in their order, else empty.
+def sensitivities(
+    drives: Drives, names: Sequence[str], inputs: Sequence[str], saltelli: Sequence[str]
+) -> list[Sensitivity]:
+    """Of these measurements, on `inputs`; `saltelli` are the factors of such a design, in their order, else empty.
 
     `drives` are those drawn independently, which noise is told of, and of any other sampling the indices.
     """
     rows = drives.rows
     full = Drives(rows, drives.design) if saltelli else drives
-    curves = Curves({name: drives.inputs[name] for name in varied(drives.inputs)[0]})
+    curves = Curves({name: drives.inputs[name] for name in inputs})
     found = []
     for name in names:
         n, indices, why = _by_saltelli(full, name, saltelli) if saltelli else curves.indices(drives.each(name))
@@ -95,27 +97,20 @@ def sensitivities(drives: Drives, names: Sequence[str], saltelli: Sequence[str])
 
 def varied(inputs: Mapping[str, F64]) -> tuple[list[str], list[str]]:
     """The inputs that indices are told of, and in words why others are not and which cannot be told apart."""
-    names: list[str] = []
-    words: list[str] = []
-    for name, values in inputs.items():
-        if not np.isfinite(values).all() or not varies(values):
-            words.append(f"{name} does not vary")
-            continue
-        twin = next((other for other in names if abs(_correlation(values, inputs[other])) > 1.0 - 1e-9), None)
-        if twin:
-            words.append(f"{name} goes with {twin}, which stands for both")
-        else:
-            names.append(name)
-    pairs = ((_correlation(inputs[a], inputs[b]), a, b) for a, b in combinations(names, 2))
-    least = max(TOGETHER, 4.0 / math.sqrt(max(len(next(iter(inputs.values()), ())), 1)))
-    for r, a, b in sorted((pair for pair in pairs if abs(pair[0]) > least), key=lambda pair: -abs(pair[0]))[:3]:
-        words.append(f"{a} and {b} vary together (correlation {r:.2f}): indices of both hold what they share")
-    return names, words
-
-
-def _correlation(a: F64, b: F64) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    return float(a @ b / math.sqrt(float(a @ a) * float(b @ b)))
+    columns = {name: values[:MOST] for name, values in inputs.items()}
+    moving = [name for name, values in columns.items() if np.isfinite(values).all() and varies(values)]
+    words = [f"{name} does not vary" for name in columns if name not in moving]
+    r = np.atleast_2d(np.corrcoef([columns[name] for name in moving])) if moving else np.eye(0)
+    twins = {b: a for a, b in reversed(list(combinations(range(len(moving)), 2))) if abs(r[a, b]) > 1.0 - 1e-9}
+    words += [f"{moving[b]} goes with {moving[a]}, which stands for both" for b, a in sorted(twins.items())]
+    kept = [k for k in range(len(moving)) if k not in twins]
+    least = max(TOGETHER, 4.0 / math.sqrt(len(columns[moving[0]]))) if moving else 1.0
+    together = [(a, b) for a, b in combinations(kept, 2) if abs(r[a, b]) > least]
+    for a, b in sorted(together, key=lambda pair: -abs(r[pair]))[:3]:
+        words.append(
+            f"{moving[a]} and {moving[b]} vary together (correlation {r[a, b]:.2f}): what they share counts for both"
+        )
+    return [moving[k] for k in kept], words
 
 
 class Curves:
