@@ -124,8 +124,8 @@ def _notes(rows: Rows, about: About, left: list[str], designs: list[Drives]) -> 
             "them pass. Means, sd and Cpk are of the first, comparisons and indices of the mean over them."
         )
     notes.append(
-        "Each interval alone holds with 95 %: of many statements some are wrong by chance. Yields have exact intervals "
-        "(Clopper and Pearson)."
+        "Each interval alone holds with 95 %: of many statements some are wrong by chance. Those of shares are Clopper "
+        "and Pearson's."
     )
     return notes + [f"{words[:1]}{words[1:]}." for words in left]
 

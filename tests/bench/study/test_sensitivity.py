@@ -179,7 +179,7 @@ def test_inputs_that_cannot_be_told_apart_are_said() -> None:
     }
     names, words = varied(inputs)
     assert names == ["a", "d", "e"]
-    assert words[:2] == ["c does not vary", "b goes with a, which stands for both"]
+    assert words[:2] == ["c does not vary", "b follows from a, which stands for both"]
     assert words[2].startswith("a and d vary together (correlation 0.9")
     assert len(words) == 3
 
@@ -212,3 +212,27 @@ def test_noise_is_told_of_repetitions_only() -> None:
     assert noise(np.random.default_rng(1).normal(size=(40, 1))) is None
     assert noise(np.ones((40, 3))) is None
     assert noise(np.repeat(np.arange(5.0)[:, None], 2, axis=1)) == (0.0, 0.0, 0.0)
+
+
+def test_inputs_that_are_drawn_as_a_set_are_told_as_one() -> None:
+    """Halls of five motors that were measured: two of them have the third edge in the same place."""
+    random = np.random.default_rng(10)
+    sets = np.column_stack([random.normal(size=(5, 2)), [0.1, 0.2, 0.2, 0.3, 0.4]])[random.integers(0, 5, 100)]
+    inputs = {"edge_3": sets[:, 2], "edge_1": sets[:, 0], "edge_2": sets[:, 1], "r": random.integers(0, 3, 100) * 1.0}
+    names, words = varied(inputs)
+    assert names == ["edge_1", "r"]
+    assert words[:2] == [f"edge_{k} follows from edge_1, which stands for both" for k in (3, 2)]
+
+
+@pytest.mark.parametrize("repetitions", [1, 3])
+def test_noise_makes_no_input_matter(repetitions: int) -> None:
+    """It counts in every total index: x3 and x4 have no effect, x2 one with x1 only."""
+    problem = {"num_vars": 5, "names": list("01234"), "bounds": [[-1, 1]] * 5}
+    factors = tuple(f"x{k}" for k in range(5))
+    for seed in range(10):
+        x = saltelli_points.sample(problem, 512, calc_second_order=False, seed=seed)
+        y = (2.0 * x[:, 0] + 4.0 * x[:, 1] * x[:, 2])[:, None]
+        rows = study(x, y + np.random.default_rng(seed).normal(size=(len(x), repetitions))).rows
+        (found,) = answer(rows, about(rows, saltelli=factors)).sensitivity
+        assert {index.input for index in found.indices if index.matters} == {"x0", "x1", "x2"}
+        assert all(index.total is not None and index.total.lo > 0.0 for index in found.indices)
