@@ -63,16 +63,19 @@ def answer(rows: Rows, about: About) -> Answers:
     designs = drives_of(rows, about)
     names = sorted(rows.measured, key=lambda name: name not in rows.limits)
     found = [each for name in names for drives in designs if (each := capability(drives, name)) is not None]
-    found.sort(key=_room)
+    room: dict[str, tuple[bool, float, float]] = {}
+    for each in found:
+        room[each.name] = min(room.get(each.name, (True, math.inf, math.inf)), _room(each))
+    found.sort(key=lambda each: room[each.name])
     first, others = designs[:1], designs[1:]
     told, left = varied(designs[0].inputs) if designs else ([], [])
     return Answers(
         len(set(rows.sample.tolist())),
         yields(designs),
         found,
-        [each for drives in designs for each in sensitivities(drives, _once(found), about.saltelli)],
+        [each for drives in designs for each in sensitivities(drives, _once(found), told, about.saltelli)],
         about.saltelli or tuple(told),
-        sorted((one for of in designs for one in worst(Drives(rows, of.design), about.replay)), key=_badness),
+        sorted((one for of in designs for one in worst(Drives(rows, of.design), told, about.replay)), key=_badness),
         sorted((pair for a in first for b in others for pair in yield_pairs(a, b)), key=lambda pair: pair.test != ALL),
         [pair for a in first for b in others for pair in value_pairs(a, b, _once(found))],
         tuple(_notes(rows, about, left, designs)),
@@ -121,8 +124,8 @@ def _notes(rows: Rows, about: About, left: list[str], designs: list[Drives]) -> 
             "them pass. Means, sd and Cpk are of the first, comparisons and indices of the mean over them."
         )
     notes.append(
-        "Each interval alone holds with 95 %: of many statements some are wrong by chance. Yields have exact intervals "
-        "(Clopper and Pearson)."
+        "Each interval alone holds with 95 %: of many statements some are wrong by chance. Those of shares are Clopper "
+        "and Pearson's."
     )
     return notes + [f"{words[:1]}{words[1:]}." for words in left]
 

@@ -38,7 +38,8 @@ def draw_yields(yields: Sequence[Yield], designs: Sequence[str]) -> Figure:
     found = [(each.test, each.design, each.share) for each in yields if each.share]
     figure, ax = _marks(found, designs, designs)
     least = 100.0 * min(share.lo for _, _, share in found)
-    ax.set_xlim(least - max(1.0, 0.04 * (100.0 - least)), 100.5)
+    room = max(100.0 - least, 1.0)
+    ax.set_xlim(100.0 - 1.05 * room, 100.0 + 0.02 * room)
     axis_labels(ax, "drives that pass", "", "%")
     return figure
 

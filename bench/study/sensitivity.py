@@ -12,9 +12,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special, stats
 
 from bench.errors import BenchError
@@ -32,8 +33,10 @@ SHAPE = 0.0025
 """Standard error of an index that comes from the curve's shape, which is not quite that of the function."""
 LEAST_GROUPS = 32
 RESAMPLES = 200
-TOGETHER = 0.3
-"""The least correlation of two inputs that is told."""
+TOGETHER, ONE = 0.3, 1.0 - 1e-9
+"""The least correlation of two inputs that is told, and that of two which are one."""
+SEVERAL = 3
+"""How often each value of an input comes, where it may be a set that others are drawn with."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +48,8 @@ class Index:
     total: Estimate | None
     """Of Saltelli designs."""
 
-    @property
-    def matters(self) -> bool:
-        """Whether there is evidence that it does."""
-        return self.first.lo > 0.0 or (self.total is not None and self.total.lo > 0.0)
+    matters: bool
+    """Whether there is evidence that it does, at 5 % over all inputs together; noise is none."""
 
     @property
     def size(self) -> float:
@@ -77,14 +78,16 @@ class Sensitivity:
         return next((index for index in self.indices if index.matters), None)
 
 
-def sensitivities(drives: Drives, names: Sequence[str], saltelli: Sequence[str]) -> list[Sensitivity]:
-    """Of these measurements; `saltelli` are the factors of such a design, in their order, else empty.
+def sensitivities(
+    drives: Drives, names: Sequence[str], inputs: Sequence[str], saltelli: Sequence[str]
+) -> list[Sensitivity]:
+    """Of these measurements, on `inputs`; `saltelli` are the factors of such a design, in their order, else empty.
 
     `drives` are those drawn independently, which noise is told of, and of any other sampling the indices.
     """
     rows = drives.rows
     full = Drives(rows, drives.design) if saltelli else drives
-    curves = Curves({name: drives.inputs[name] for name in varied(drives.inputs)[0]})
+    curves = Curves({name: drives.inputs[name] for name in inputs})
     found = []
     for name in names:
         n, indices, why = _by_saltelli(full, name, saltelli) if saltelli else curves.indices(drives.each(name))
@@ -95,27 +98,32 @@ def sensitivities(drives: Drives, names: Sequence[str], saltelli: Sequence[str])
 
 def varied(inputs: Mapping[str, F64]) -> tuple[list[str], list[str]]:
     """The inputs that indices are told of, and in words why others are not and which cannot be told apart."""
-    names: list[str] = []
-    words: list[str] = []
-    for name, values in inputs.items():
-        if not np.isfinite(values).all() or not varies(values):
-            words.append(f"{name} does not vary")
-            continue
-        twin = next((other for other in names if abs(_correlation(values, inputs[other])) > 1.0 - 1e-9), None)
-        if twin:
-            words.append(f"{name} goes with {twin}, which stands for both")
+    moving = [name for name, values in inputs.items() if np.isfinite(values).all() and varies(values[:MOST])]
+    words = [f"{name} does not vary" for name in inputs if name not in moving]
+    columns = np.array([inputs[name][:MOST] for name in moving])
+    r = np.atleast_2d(np.corrcoef(columns)) if moving else np.eye(0)
+    kinds = [np.unique(column, return_inverse=True)[1] for column in columns]
+    pairs = permutations(range(len(moving)), 2)
+    follows = {(b, a) for b, a in pairs if abs(r[a, b]) > ONE or _follows(kinds[b], kinds[a])}
+    kept = []
+    for b, name in enumerate(moving):
+        of = [a for a in range(len(moving)) if (b, a) in follows and (a < b or (a, b) not in follows)]
+        if of:
+            words.append(f"{name} follows from {moving[of[0]]}, which stands for both")
         else:
-            names.append(name)
-    pairs = ((_correlation(inputs[a], inputs[b]), a, b) for a, b in combinations(names, 2))
-    least = max(TOGETHER, 4.0 / math.sqrt(max(len(next(iter(inputs.values()), ())), 1)))
-    for r, a, b in sorted((pair for pair in pairs if abs(pair[0]) > least), key=lambda pair: -abs(pair[0]))[:3]:
-        words.append(f"{a} and {b} vary together (correlation {r:.2f}): indices of both hold what they share")
-    return names, words
+            kept.append(b)
+    least = max(TOGETHER, 4.0 / math.sqrt(columns.shape[-1] or 1))
+    together = [(a, b) for a, b in combinations(kept, 2) if abs(r[a, b]) > least]
+    for a, b in sorted(together, key=lambda pair: -abs(r[pair]))[:3]:
+        both = f"{moving[a]} and {moving[b]} vary together (correlation {r[a, b]:.2f})"
+        words.append(f"{both}: what they share counts for both")
+    return [moving[k] for k in kept], words
 
 
-def _correlation(a: F64, b: F64) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    return float(a @ b / math.sqrt(float(a @ a) * float(b @ b)))
+def _follows(b: NDArray[np.int64], a: NDArray[np.int64]) -> bool:
+    """Whether each value of `a`, which come several times, has one of `b`: both are numbers of values, from 0."""
+    values = int(a.max()) + 1
+    return SEVERAL * values <= len(a) and len(np.unique(a * (int(b.max()) + 1) + b)) == values
 
 
 class Curves:
@@ -138,7 +146,7 @@ class Curves:
         bases = self._bases(known)
         if not bases:
             return n, [], "no input varies"
-        return n, [Index(name, _first(basis, y, len(bases)), None) for name, basis in bases.items()], ""
+        return n, [_index(name, _first(basis, y, len(bases))) for name, basis in bases.items()], ""
 
     def _bases(self, known: np.ndarray) -> dict[str, F64]:
         key = known.tobytes()
@@ -160,6 +168,10 @@ def _basis(x: F64) -> F64:
     return basis
 
 
+def _index(name: str, first: Estimate) -> Index:
+    return Index(name, first, None, first.lo > 0.0)
+
+
 def _first(basis: F64, y: F64, inputs: int) -> Estimate:
     """The index, of `y` with mean 0 and variance 1."""
     n, terms = basis.shape
@@ -175,8 +187,12 @@ def _first(basis: F64, y: F64, inputs: int) -> Estimate:
 
 
 def _by_saltelli(drives: Drives, name: str, factors: Sequence[str]) -> tuple[int, list[Index], str]:
-    """By SALib, of the groups of D + 2 drives that have all their values."""
-    wide = len(factors) + 2
+    """By SALib, of the groups of D + 2 drives that have all their values.
+
+    A total index holds the share of noise, since no two drives have the same; where no repetitions tell how much that
+    is, it is at most the smallest total index.
+    """
+    wide, r = len(factors) + 2, int(drives.place.shape[1])
     table = np.full(((int(drives.rows.sample.max(initial=0)) // wide + 1), wide), np.nan)
     table.flat[drives.sample] = drives.each(name)
     table = table[np.isfinite(table).all(axis=1)]
@@ -191,14 +207,16 @@ def _by_saltelli(drives: Drives, name: str, factors: Sequence[str]) -> tuple[int
         return n, [], str(missing())
     problem = {"num_vars": len(factors), "names": list(factors), "bounds": [[0.0, 1.0]] * len(factors)}
     made = sobol.analyze(problem, table.ravel(), calc_second_order=False, num_resamples=RESAMPLES, seed=1)
-    first, total = (
-        [
-            around(float(value), max(float(half), Z * SHAPE))
-            for value, half in zip(made[key], made[f"{key}_conf"], strict=True)
-        ]
-        for key in ("S1", "ST")
-    )
-    return n, [Index(*each) for each in zip(factors, first, total, strict=True)], ""
+    made = {key: [around(*each) for each in zip(made[key], made[f"{key}_conf"], strict=True)] for key in ("S1", "ST")}
+    heard = noise(drives.values(name))
+    rest = min(each.hi for each in made["ST"]) if heard is None else heard.hi / (r - (r - 1) * heard.hi)
+    sure = float(special.ndtri(1.0 - 0.025 / len(factors))) / Z
+    found = []
+    for factor, first, total in zip(factors, made["S1"], made["ST"], strict=True):
+        alone = first.value - max(first.hi - first.value, Z * SHAPE) * sure > 0.0
+        with_others = total.value - (total.hi - total.value) * sure > rest
+        found.append(Index(factor, first, total, alone or with_others))
+    return n, found, ""
 
 
 def missing() -> BenchError:

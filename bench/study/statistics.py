@@ -136,10 +136,10 @@ def varies(values: F64) -> bool:
 
 def percent(value: float) -> str:
     """A share in words, with digits enough not to be 0 or 100 where it is not; an unknown one is an en dash."""
-    if not math.isfinite(value):
-        return "–"
     near = min(value, 1.0 - value)
-    digits = 1 if near >= 0.01 or near <= 0.0 else 2 if near >= 5e-4 else 3 if near >= 5e-5 else 4
+    if not math.isfinite(value) or 0.0 < near < 1e-6:
+        return "–" if math.isnan(near) else "< 0.0001 %" if value < 0.5 else "> 99.9999 %"
+    digits = 0 if near <= 0.0 else 1 if near >= 0.01 else 2 if near >= 5e-4 else 3 if near >= 5e-5 else 4
     return f"{100.0 * value:.{digits}f} %"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from bench.signal.limits import Limits
 from bench.study.drives import Drives
 from bench.study.rows import F64
-from bench.study.sensitivity import varied
 
 SHOWN = 3
 """Drives by test, and inputs by drive."""
@@ -39,9 +38,8 @@ class Worst:
     replay: str
 
 
-def worst(drives: Drives, replay: Callable[[int], str]) -> list[Worst]:
-    """By test the drives that failed or passed with the smallest margin."""
-    names, _ = varied(drives.inputs)
+def worst(drives: Drives, names: Sequence[str], replay: Callable[[int], str]) -> list[Worst]:
+    """By test the drives that failed or passed with the smallest margin; `names` of inputs that vary."""
     tests = [test for test in drives.rows.verdicts if drives.tried(test)]
     return [each for test in tests for each in _of_test(drives, test, names, replay)]
 
@@ -62,7 +60,7 @@ def margin_share(limits: Limits, values: F64) -> F64:
     return np.where(margin == 0.0, np.nan, known)
 
 
-def _of_test(drives: Drives, test: str, names: list[str], replay: Callable[[int], str]) -> list[Worst]:
+def _of_test(drives: Drives, test: str, names: Sequence[str], replay: Callable[[int], str]) -> list[Worst]:
     rows = drives.rows
     at = drives.place[drives.place >= 0]
     at = np.sort(at[rows.judged(test)[at]])
@@ -88,7 +86,7 @@ def _of_test(drives: Drives, test: str, names: list[str], replay: Callable[[int]
     return found
 
 
-def _unusual(drives: Drives, sample: int, names: list[str]) -> tuple[tuple[str, float, float], ...]:
+def _unusual(drives: Drives, sample: int, names: Sequence[str]) -> tuple[tuple[str, float, float], ...]:
     at = int(np.searchsorted(drives.sample, sample))
     inputs = [(name, drives.inputs[name]) for name in names]
     found = [(name, float(x[at]), float((x[at] - x.mean()) / x.std())) for name, x in inputs]

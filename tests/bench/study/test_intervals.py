@@ -117,7 +117,9 @@ def test_only_what_is_plainly_not_normal_is_called_so() -> None:
     ("words", "wanted"),
     [
         (percent(0.934), "93.4 %"),
-        (percent(1.0), "100.0 %"),
+        (percent(1.0), "100 %"),
+        (percent(0.0), "0 %"),
+        (percent(1e-9), "< 0.0001 %"),
         (percent(0.9963), "99.63 %"),
         (percent(0.9999), "99.990 %"),
         (percent(0.00001), "0.0010 %"),
