@@ -18,6 +18,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, closing, contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
@@ -32,7 +33,7 @@ CONNECT = 10.0  # s for a scheduler to answer
 JOIN = 30.0  # s for a worker to join, or to come back
 STRANGERS = 3.0  # s for a worker that fits to join where others do not
 BUSY = 120.0  # s for a worker to answer for the first time: others may use it, or its disk is slow
-LOOK = 0.25  # s between two looks at who is there
+LOOK = 0.5  # s between two looks at who is there
 CLOSE = 1.0  # s
 RESTARTS = 3  # schedulers of a local cluster that may die
 HOPELESS = 10  # rows that may crash their workers while fewer have come back
@@ -168,16 +169,15 @@ class Cluster:
             raise SchedulerLost("it has ended")
 
     def _connect(self, opened: ExitStack) -> Any:
-        from distributed import Client
-
         address = self.address or self._start(opened)
         try:
-            client = Client(address, timeout=CONNECT, set_as_default=False)
+            client = import_module("distributed").Client(address, timeout=CONNECT, set_as_default=False)
         except (OSError, ValueError, ImportError, RuntimeError) as error:
             words = f"no dask scheduler answers at {address} ({told(error)})"
             advice = "start one there with `dask scheduler`, or leave --cluster out for the cores of this machine"
             raise BenchError(f"{words}: {advice}") from None
         opened.callback(_close, client)
+        client.loop.asyncio_loop.set_exception_handler(lambda *_: None)  # it tells of calls that were given up
         return client
 
     def _start(self, opened: ExitStack) -> str:
@@ -189,7 +189,7 @@ class Cluster:
             process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "bench.study.local", str(self._workers or CPU_COUNT), folder],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "DASK_LOGGING__DISTRIBUTED": "error"},
                 start_new_session=True, creationflags=APART,
             )  # fmt: skip
         opened.callback(_end, process)
@@ -279,7 +279,7 @@ class Crew:
             assert isinstance(value, BaseException)
             raise BenchError(f"the cluster has failed at the worker {name}: {told(value)}; {KEPT}")
 
-    def _rest(self) -> Iterator[Done]:
+    def _rest(self) -> Iterator[Done | Crashed]:
         """What has come by now."""
         with suppress(Empty):
             while True:
@@ -343,8 +343,7 @@ def _close(client: Any) -> None:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """What dask logs and warns of on the way is not for a user's eyes: `note` says it."""
-    import distributed  # noqa: F401  it sets its loggers up
-
+    import_module("distributed")  # it sets its loggers up
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado.application")]
     before = [logger.level for logger in loggers]
     for logger in loggers:
