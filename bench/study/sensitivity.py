@@ -3,8 +3,9 @@
 Of a Saltelli design both come from SALib. Of any other sampling the first-order index is the share of the variance
 that a smooth curve of one input explains, corrected for what a curve explains of noise. Its interval is that of the
 efficient estimator (S. Da Veiga, F. Gamboa, J. Nonparametr. Stat. 25 (2013), 573), and it begins at 0 unless an F-test
-finds the curve, at 5 % over all inputs together. Intervals of SALib's `delta` covered 55 to 85 % where this one covers
-92 to 100 %, and those of `rbd_fast` are twice as wide at a hundred drives.
+finds the curve, at 5 % over all inputs together. On Ishigami's function, a linear and a noisy additive one such
+intervals covered 91 to 97 % at 100 to 1000 drives, those of SALib's `delta` 0 to 95 %; those of `rbd_fast` covered
+95 to 100 %, but are twice as wide at 100 drives and 1.4 times at 1000.
 """
 
 from __future__ import annotations
@@ -179,7 +180,7 @@ def _first(basis: F64, y: F64, inputs: int) -> Estimate:
     explained, free = float(curve @ curve) / n, n - terms - 1
     index = 1.0 - (1.0 - explained) * (n - 1) / free
     influence = 2.0 * curve * (y - curve) + curve * curve - index * y * y
-    variance = float(influence.var()) / free + 2.0 * terms * ((1.0 - index) / n) ** 2 + SHAPE**2
+    variance = float(influence.var()) / free + SHAPE**2
     found = around(index, Z * math.sqrt(variance))
     f = explained / terms / max((1.0 - explained) / free, 1e-300)
     by_chance = float(special.fdtrc(terms, free, f)) > 0.05 / inputs

@@ -224,7 +224,7 @@ def test_what_is_degenerate_gets_words(case: str, tmp_path: Path) -> None:
 
 
 def test_a_report_is_one_file_and_replaces_another_only_if_told(tmp_path: Path) -> None:
-    rows = motors(60)
+    rows = motors(25)
     page = write_report(tmp_path, rows, about(rows, points=True))
     text = page.read_text()
     assert page == tmp_path / "report.html"
