@@ -9,13 +9,13 @@ from typing import Any
 
 from bench.files import finite
 from bench.study.capability import Capability, capability
-from bench.study.drives import Drives
+from bench.study.drives import ALL, Drives
 from bench.study.pairs import ValuePair, YieldPair, value_pairs, yield_pairs
 from bench.study.rows import Rows
 from bench.study.sensitivity import Sensitivity, sensitivities, varied
 from bench.study.statistics import Estimate, figure, percent, span
 from bench.study.worst import Worst, worst
-from bench.study.yields import ALL, Yield, yields
+from bench.study.yields import Yield, yields
 from protocol.text import counted
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from bench.study.rows import F64, I64, Rows
 
+Bools = NDArray[np.bool_]
+ALL = "all tests"
+
 
 @dataclass(frozen=True)
 class Drives:
-    """Of n samples: only those that were drawn independently of each other, unless `all_of`.
+    """Of n samples: all, or of a Saltelli design with `groups` of D + 2 those that were drawn independently.
 
-    Of `groups` samples of a Saltelli design (D + 2) only the first and the last are: all between are of these two.
+    These are the first and the last of each group: all between are made of the two.
     """
 
     rows: Rows
@@ -47,10 +50,7 @@ class Drives:
 
     def values(self, name: str) -> F64:
         """(n, repetitions) of a measurement, NaN where there is no finite value."""
-        return self._table(self.rows.measured[name])
-
-    def _table(self, column: F64) -> F64:
-        found = np.where(self.place >= 0, column[self.place], np.nan)
+        found = np.where(self.place >= 0, self.rows.measured[name][self.place], np.nan)
         return np.where(np.isfinite(found), found, np.nan)
 
     def each(self, name: str) -> F64:
@@ -58,17 +58,25 @@ class Drives:
         found: F64 = self.values(name).mean(axis=1)
         return found
 
-    def outcome(self, test: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """(n,) each: which drives passed a test in every repetition, and which failed it in one; others are unknown."""
-        there = self.place >= 0
-        yes, judged = (of(test)[self.place] for of in (self.rows.passed, self.rows.judged))
-        passed: NDArray[np.bool_] = np.all(there & yes, axis=1)
-        failed: NDArray[np.bool_] = np.any(there & judged & ~yes, axis=1)
-        return passed, failed
+    @cached_property
+    def tests(self) -> list[str]:
+        """Those that the design has at all."""
+        at = self.place[self.place >= 0]
+        return [test for test, verdicts in self.rows.verdicts.items() if (verdicts[at] != "").any()]
 
-    def tried(self, test: str) -> bool:
-        """Whether the design has the test at all."""
-        return bool((self.rows.verdicts[test][self.place[self.place >= 0]] != "").any())
+    def outcomes(self, tests: Sequence[str]) -> dict[str, tuple[Bools, Bools]]:
+        """(n,) each: which drives passed in every repetition, and which failed in one; others are unknown.
+
+        Of all tests, if they are several, and then of each.
+        """
+        there, found = self.place >= 0, {}
+        for test in tests:
+            yes, judged = (of(test)[self.place] for of in (self.rows.passed, self.rows.judged))
+            found[test] = (np.all(there & yes, axis=1), np.any(there & judged & ~yes, axis=1))
+        if len(tests) < 2:
+            return found
+        passed, failed = (np.array(each) for each in zip(*found.values(), strict=True))
+        return {ALL: (passed.all(axis=0), failed.any(axis=0)), **found}
 
     @cached_property
     def inputs(self) -> Mapping[str, F64]:

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special, stats
 
-from bench.errors import BenchError
 from bench.study.drives import Drives
 from bench.study.rows import F64
 from bench.study.statistics import Estimate, Z, around, varies
@@ -34,6 +33,7 @@ SHAPE = 0.0025
 """Standard error of an index that comes from the curve's shape, which is not quite that of the function."""
 LEAST_GROUPS = 32
 RESAMPLES = 200
+NEEDED = "Sobol indices of a Saltelli design need SALib: pip install 'hallbench[study]'"
 TOGETHER, ONE = 0.3, 1.0 - 1e-9
 """The least correlation of two inputs that is told, and that of two which are one."""
 SEVERAL = 3
@@ -48,7 +48,6 @@ class Index:
     first: Estimate
     total: Estimate | None
     """Of Saltelli designs."""
-
     matters: bool
     """Whether there is evidence that it does, at 5 % over all inputs together; noise is none."""
 
@@ -147,7 +146,7 @@ class Curves:
         bases = self._bases(known)
         if not bases:
             return n, [], "no input varies"
-        return n, [_index(name, _first(basis, y, len(bases))) for name, basis in bases.items()], ""
+        return n, [_first(name, basis, y, len(bases)) for name, basis in bases.items()], ""
 
     def _bases(self, known: np.ndarray) -> dict[str, F64]:
         key = known.tobytes()
@@ -169,12 +168,8 @@ def _basis(x: F64) -> F64:
     return basis
 
 
-def _index(name: str, first: Estimate) -> Index:
-    return Index(name, first, None, first.lo > 0.0)
-
-
-def _first(basis: F64, y: F64, inputs: int) -> Estimate:
-    """The index, of `y` with mean 0 and variance 1."""
+def _first(name: str, basis: F64, y: F64, inputs: int) -> Index:
+    """Of `y` with mean 0 and variance 1."""
     n, terms = basis.shape
     curve = basis @ (basis.T @ y)
     explained, free = float(curve @ curve) / n, n - terms - 1
@@ -184,7 +179,8 @@ def _first(basis: F64, y: F64, inputs: int) -> Estimate:
     found = around(index, Z * math.sqrt(variance))
     f = explained / terms / max((1.0 - explained) / free, 1e-300)
     by_chance = float(special.fdtrc(terms, free, f)) > 0.05 / inputs
-    return Estimate(max(index, 0.0), 0.0 if by_chance else max(found.lo, 0.0), min(max(found.hi, 0.0), 1.0))
+    lo, hi = 0.0 if by_chance else max(found.lo, 0.0), min(max(found.hi, 0.0), 1.0)
+    return Index(name, Estimate(max(index, 0.0), lo, hi), None, lo > 0.0)
 
 
 def _by_saltelli(drives: Drives, name: str, factors: Sequence[str]) -> tuple[int, list[Index], str]:
@@ -205,7 +201,7 @@ def _by_saltelli(drives: Drives, name: str, factors: Sequence[str]) -> tuple[int
     try:
         from SALib.analyze import sobol
     except ImportError:
-        return n, [], str(missing())
+        return n, [], NEEDED
     problem = {"num_vars": len(factors), "names": list(factors), "bounds": [[0.0, 1.0]] * len(factors)}
     made = sobol.analyze(problem, table.ravel(), calc_second_order=False, num_resamples=RESAMPLES, seed=1)
     made = {key: [around(*each) for each in zip(made[key], made[f"{key}_conf"], strict=True)] for key in ("S1", "ST")}
@@ -218,11 +214,6 @@ def _by_saltelli(drives: Drives, name: str, factors: Sequence[str]) -> tuple[int
         with_others = total.value - (total.hi - total.value) * sure > rest
         found.append(Index(factor, first, total, alone or with_others))
     return n, found, ""
-
-
-def missing() -> BenchError:
-    """What brings SALib."""
-    return BenchError("Sobol indices of a Saltelli design need SALib: pip install 'hallbench[study]'")
 
 
 def noise(table: F64) -> Estimate | None:

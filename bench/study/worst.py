@@ -40,8 +40,7 @@ class Worst:
 
 def worst(drives: Drives, names: Sequence[str], replay: Callable[[int], str]) -> list[Worst]:
     """By test the drives that failed or passed with the smallest margin; `names` of inputs that vary."""
-    tests = [test for test in drives.rows.verdicts if drives.tried(test)]
-    return [each for test in tests for each in _of_test(drives, test, names, replay)]
+    return [each for test in drives.tests for each in _of_test(drives, test, names, replay)]
 
 
 def margin_share(limits: Limits, values: F64) -> F64:

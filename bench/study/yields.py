@@ -5,12 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from bench.study.drives import Drives
+from bench.study.drives import ALL, Drives
 from bench.study.statistics import Estimate, share
-
-ALL = "all tests"
 
 
 @dataclass(frozen=True)
@@ -33,14 +29,8 @@ def yields(designs: Sequence[Drives]) -> list[Yield]:
     """By test and design, all tests first; tests that a design does not have are left out."""
     found = []
     for drives in designs:
-        tests = [test for test in drives.rows.verdicts if drives.tried(test)]
-        every, some = np.ones(len(drives), bool), np.zeros(len(drives), bool)
-        for test in tests:
-            passed, failed = drives.outcome(test)
-            every, some = every & passed, some | failed
+        for test, (passed, failed) in drives.outcomes(drives.tests).items():
             found.append(_yield(test, drives, int(passed.sum()), int(failed.sum())))
-        if len(tests) > 1:
-            found.append(_yield(ALL, drives, int(every.sum()), int(some.sum())))
     order = [ALL, *(designs[0].rows.verdicts if designs else ())]
     return sorted(found, key=lambda each: order.index(each.test))
 

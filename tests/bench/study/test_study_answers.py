@@ -18,10 +18,11 @@ from bench.signal.limits import Limits
 from bench.signal.verdict import Verdict
 from bench.study.answers import Answers, answer, answers, lines
 from bench.study.capability import Capability
+from bench.study.drives import ALL
 from bench.study.report import write_report
 from bench.study.rows import Rows
 from bench.study.worst import margin_share
-from bench.study.yields import ALL, Yield
+from bench.study.yields import Yield
 from tests.bench.study.made import about, motors, picked, rows_of
 
 pytestmark = pytest.mark.filterwarnings("error")
