@@ -204,16 +204,15 @@ def _by_saltelli(drives: Drives, name: str, factors: Sequence[str]) -> tuple[int
         return n, [], NEEDED
     problem = {"num_vars": len(factors), "names": list(factors), "bounds": [[0.0, 1.0]] * len(factors)}
     made = sobol.analyze(problem, table.ravel(), calc_second_order=False, num_resamples=RESAMPLES, seed=1)
-    made = {key: [around(*each) for each in zip(made[key], made[f"{key}_conf"], strict=True)] for key in ("S1", "ST")}
+    first, total, off_first, off_total = (np.array(made[key]) for key in ("S1", "ST", "S1_conf", "ST_conf"))
     heard = noise(drives.values(name))
-    rest = min(each.hi for each in made["ST"]) if heard is None else heard.hi / (r - (r - 1) * heard.hi)
+    rest = float((total + off_total).min()) if heard is None else heard.hi / (r - (r - 1) * heard.hi)
     sure = float(special.ndtri(1.0 - 0.025 / len(factors))) / Z
-    found = []
-    for factor, first, total in zip(factors, made["S1"], made["ST"], strict=True):
-        alone = first.value - max(first.hi - first.value, Z * SHAPE) * sure > 0.0
-        with_others = total.value - (total.hi - total.value) * sure > rest
-        found.append(Index(factor, first, total, alone or with_others))
-    return n, found, ""
+    matters = (first > np.maximum(off_first, Z * SHAPE) * sure) | (total - off_total * sure > rest)
+    moving = [k for k, factor in enumerate(factors) if factor not in drives.inputs or varies(drives.inputs[factor])]
+    ones = [np.clip([it, it - off, it + off], 0.0, 1.0).T for it, off in ((first, off_first), (total, off_total))]
+    alone, others = ([Estimate(*map(float, each)) for each in one] for one in ones)
+    return n, [Index(factors[k], alone[k], others[k], bool(matters[k])) for k in moving], ""
 
 
 def noise(table: F64) -> Estimate | None:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import builtins
+import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from SALib.sample import sobol as saltelli_points
 
-from bench.study.answers import answer, lines
+from bench.signal.limits import Limits
+from bench.study.answers import answer, answers, lines
 from bench.study.drives import Drives
+from bench.study.report import write_report
 from bench.study.sensitivity import Curves, Index, Sensitivity, noise, sensitivities, varied
 from tests.bench.study.made import about, picked, rows_of
 
@@ -244,3 +248,17 @@ def test_of_many_inputs_without_effect_none_is_said_to_have_one() -> None:
     curves = Curves({f"x{k}": random.normal(size=100) for k in range(20)})
     studies = [curves.indices(random.normal(size=100))[1] for _ in range(1000)]
     assert np.mean([any(index.matters for index in found) for found in studies]) <= 0.05
+
+
+@pytest.mark.parametrize("constant", [False, True])
+def test_one_factor_makes_all_of_the_variance(constant: bool, tmp_path: Path) -> None:
+    """Another, which does not vary, is left out."""
+    a, b = np.random.default_rng(15).random((2, 64))
+    x = np.column_stack([a, b, *([a] if constant else []), b]).ravel()
+    inputs = {"x": x} | ({"still": np.ones(len(x))} if constant else {})
+    rows = rows_of(inputs, {"t.y": x.reshape(-1, 1, 1)}, [Limits("t.y", "", None, 0.9)])
+    said = about(rows, saltelli=tuple(inputs))
+    found = json.loads(json.dumps(answers(rows, said), allow_nan=False))
+    ((index,),) = (each["indices"] for each in found["sensitivity"])
+    assert (index["input"], index["matters"], index["total"]["hi"]) == ("x", True, 1.0)
+    assert "By SALib" in write_report(tmp_path, rows, said).read_text()

@@ -172,7 +172,7 @@ def test_the_worst_drive_comes_with_its_command_and_what_is_unusual_in_it() -> N
     inputs = {"r": random.normal(size=50), "l": random.normal(size=50)}
     inputs["l"][17] = 9.0
     values = random.uniform(0.0, 1.0, (50, 2, 1))
-    values[17, 1, 0], values[31, 0, 0] = 3.0, 1.8
+    values[17, :, 0], values[31, 0, 0] = (2.5, 3.0), 1.8
     rows = rows_of(inputs, {"t.m": values}, [Limits("t.m", "deg", None, 2.0)])
     first, second, _ = answer(rows, about(rows)).worst
     assert (first.sample, first.row, first.verdict, first.replay) == (17, 35, "FAIL", "bench study replay s.toml 35")
