@@ -40,6 +40,8 @@ MAX_DECIMATION = 0xFFFF
 EDGE_RECORD = np.dtype([("tick", "<u4"), ("codes", "u1"), ("flags", "u1"), ("encoder", "<u2")])
 EDGE_ILLEGAL = 0x40  # bit of `codes`: old and new are not neighbours, or new is 000 or 111
 
+_CODE, _NEXT = np.uint8(7), np.uint8(3)  # bits of a Hall code, and how far the next one is away
+
 AHEAD, BEHIND = 1.0, 1.0
 """s by which a tick may be later than the host's clock makes it, and earlier than the newest."""
 DRIFT, RECENT = 0.1, 5.0
@@ -551,7 +553,7 @@ def unpack_edges(
     """Return wire records (EDGE_RECORD) as a chunk, with their whole ticks and indices."""
     codes = records["codes"]
     illegal = (codes & EDGE_ILLEGAL) != 0
-    return EdgeChunk(config, tick, codes & 7, codes >> 3 & 7, illegal, records["encoder"].copy(), index, gaps)
+    return EdgeChunk(config, tick, codes & _CODE, codes >> _NEXT & _CODE, illegal, records["encoder"].copy(), index, gaps)
 
 
 def _progressions(starts: Sequence[tuple[int, int]], step: int) -> I64:

@@ -38,7 +38,7 @@ MOST, MOST_EDGES = 120_000, 60_000
 """and of the whole run."""
 UNPLACED = 0.02
 """Share of edges in and beside gaps, above which too much was lost for judging where edges lie."""
-MOST_PATIENT = 4
+MOST_PATIENT = 8
 """Pieces that are let go by at most, before what looks suspicious is examined again."""
 OF_INPUTS = ("bounce", "pulses", "contact", "dead")
 """Findings that what came later does not take back."""
@@ -103,7 +103,7 @@ class HallJudge:
             self._recent.popleft()
         due = self.whole.seconds >= self._next
         if due:
-            self._next = self.whole.seconds + EVERY
+            self._next = EVERY * (self.whole.seconds // EVERY + 1.0)
         elif self._patience:
             self._patience -= 1
             return

@@ -78,6 +78,8 @@ def _handled(exceptions: dict[signal.Signals, Callable[[int], BaseException]]) -
         else:
             raise exceptions[signal.Signals(number)](number)
 
+    if threading.current_thread() is not threading.main_thread():  # signals come to the main thread, and stay its own
+        exceptions = {}
     before = {number: signal.signal(number, interrupt) for number in exceptions}
     try:
         yield

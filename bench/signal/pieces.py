@@ -16,7 +16,7 @@ from bench.signal.waveforms.sectors import SECTOR_WIDTH, steps_between
 from protocol.signals import Flag, Unit
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
-PIECE = 2.0
+PIECE = 1.0
 """s of device time, counted from its zero, that make a piece."""
 EDGES_LATE = 0.5
 """s that edges may come after samples dated as they are: on CAN they wait for a heartbeat."""

@@ -46,12 +46,15 @@ class Rows:
 
     def of(self, design: int) -> NDArray[np.bool_]:
         """(n,) which rows are of a design."""
-        return self.design == design
+        found: NDArray[np.bool_] = self.design == design
+        return found
 
     def passed(self, test: str) -> NDArray[np.bool_]:
         """(n,) where a test passed."""
-        return self.verdicts[test] == Verdict.PASS.value
+        found: NDArray[np.bool_] = self.verdicts[test] == Verdict.PASS.value
+        return found
 
     def judged(self, test: str) -> NDArray[np.bool_]:
         """(n,) where it passed or failed: all others tell nothing."""
-        return self.passed(test) | (self.verdicts[test] == Verdict.FAIL.value)
+        failed: NDArray[np.bool_] = self.verdicts[test] == Verdict.FAIL.value
+        return self.passed(test) | failed
