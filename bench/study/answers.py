@@ -12,7 +12,7 @@ from bench.study.capability import Capability, capability
 from bench.study.drives import ALL, Drives
 from bench.study.pairs import ValuePair, YieldPair, value_pairs, yield_pairs
 from bench.study.rows import Rows
-from bench.study.sensitivity import Sensitivity, sensitivities, varied
+from bench.study.sensitivity import Sensitivity, sensitivities
 from bench.study.statistics import Estimate, figure, percent, span
 from bench.study.worst import Worst, worst
 from bench.study.yields import Yield, yields
@@ -61,24 +61,26 @@ class Answers:
 def answer(rows: Rows, about: About) -> Answers:
     """Compute them."""
     designs = drives_of(rows, about)
-    names = sorted(rows.measured, key=lambda name: name not in rows.limits)
-    found = [each for name in names for drives in designs if (each := capability(drives, name)) is not None]
+    every = sorted(rows.measured, key=lambda name: name not in rows.limits)
+    found = [each for name in every for drives in designs if (each := capability(drives, name)) is not None]
     room: dict[str, tuple[bool, float, float]] = {}
     for each in found:
         room[each.name] = min(room.get(each.name, (True, math.inf, math.inf)), _room(each))
     found.sort(key=lambda each: room[each.name])
     first, others = designs[:1], designs[1:]
-    told, left = varied(designs[0].inputs) if designs else ([], [])
+    inputs = [name for drives in designs for name in drives.inputs.told]
+    left = [note for drives in designs for note in drives.inputs.notes]
+    full = [Drives(rows, drives.design) for drives in designs]
     return Answers(
         len(set(rows.sample.tolist())),
         yields(designs),
         found,
-        [each for drives in designs for each in sensitivities(drives, _once(found), told, about.saltelli)],
-        about.saltelli or tuple(told),
-        sorted((one for of in designs for one in worst(Drives(rows, of.design), told, about.replay)), key=_badness),
+        [each for drives in designs for each in sensitivities(drives, _once(found), about.saltelli)],
+        about.saltelli or tuple(dict.fromkeys(inputs)),
+        sorted((each for drives in full for each in worst(drives, about.replay)), key=_badness),
         sorted((pair for a in first for b in others for pair in yield_pairs(a, b)), key=lambda pair: pair.test != ALL),
         [pair for a in first for b in others for pair in value_pairs(a, b, _once(found))],
-        tuple(_notes(rows, about, left, designs)),
+        tuple(_notes(rows, about, list(dict.fromkeys(left)), designs)),
     )
 
 

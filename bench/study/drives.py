@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.study.inputs import Inputs, varied
 from bench.study.rows import F64, I64, Rows
+from bench.study.variation import AT
 
 Bools = NDArray[np.bool_]
 ALL = "all tests"
@@ -79,7 +81,9 @@ class Drives:
         return {ALL: (passed.all(axis=0), failed.any(axis=0)), **found}
 
     @cached_property
-    def inputs(self) -> Mapping[str, F64]:
-        """(n,) each of what was varied."""
-        at = self.place.max(axis=1, initial=-1)
-        return {name: column[at] for name, column in self.rows.inputs.items()}
+    def inputs(self) -> Inputs:
+        """What was varied in this design: KEY@DESIGN is of that design only, and in the place of KEY."""
+        at, design = self.place.max(axis=1, initial=-1), self.rows.designs[self.design]
+        mine = {name for name in self.rows.inputs if name.partition(AT)[2] in ("", design)}
+        mine -= {name.partition(AT)[0] for name in mine if AT in name}
+        return varied({name: column[at] for name, column in self.rows.inputs.items() if name in mine})

@@ -24,7 +24,7 @@ ROW, EDGES = 0.18, 0.75  # in: of a mark in a chart, and of what is above and be
 BARS = 40  # of a histogram, at most
 DOTS = 1500  # of a scatter, by design
 INPUTS = 5  # of a chart of indices
-LONGEST = 36  # letters of a name beside an axis
+LONGEST = 44  # letters of a name beside an axis
 FAR = 1.5  # times as wide as the values lie that a limit may be away from them
 
 
@@ -162,12 +162,13 @@ def _beyond(ax: Axes, found: Sequence[Capability], drives: Sequence[Drives]) -> 
 def _scatter(ax: Axes, found: Capability, drives: Sequence[Drives], made: Sequence[Sensitivity]) -> None:
     """Over the input that matters most in the first design that has one."""
     index = next((each.strongest for each in made if each.strongest), None)
-    if index is None or index.input not in drives[0].inputs:
+    have = [of for of in drives if index is not None and index.input in of.inputs.told]
+    if index is None or not have:
         _empty(ax, "no input is seen to matter" if any(each.indices for each in made) else "no indices")
         return
-    for of in drives:
+    for of in have:
         every = max(len(of) // DOTS, 1)
-        x, y = of.inputs[index.input][::every], of.values(found.name)[::every, 0]
+        x, y = of.inputs.told[index.input][::every], of.values(found.name)[::every, 0]
         ax.plot(x, y, ".", ms=2.5, color=hue(of.design), alpha=0.5, mew=0)
     axis_labels(ax, index.input, found.unit or "value")
 

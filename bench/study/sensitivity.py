@@ -13,13 +13,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, permutations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special, stats
 
 from bench.study.drives import Drives
+from bench.study.inputs import MOST
 from bench.study.rows import F64
 from bench.study.statistics import Estimate, Z, around, varies
 
@@ -27,17 +26,11 @@ LEAST, ENOUGH = 50, 100
 """Drives below which no index is told, and from which on a curve has all its terms."""
 FEW_TERMS, TERMS = 4, 8
 """Of a curve: the input, its square, and waves over its rank. Eight see four hills, as Ishigami's function has."""
-MOST = 20_000
-"""Drives that are looked at: more make intervals no narrower than a reader needs."""
 SHAPE = 0.0025
 """Standard error of an index that comes from the curve's shape, which is not quite that of the function."""
 LEAST_GROUPS = 32
 RESAMPLES = 200
 NEEDED = "Sobol indices of a Saltelli design need SALib: pip install 'hallbench[study]'"
-TOGETHER, ONE = 0.3, 1.0 - 1e-9
-"""The least correlation of two inputs that is told, and that of two which are one."""
-SEVERAL = 3
-"""How often each value of an input comes, where it may be a set that others are drawn with."""
 
 
 @dataclass(frozen=True)
@@ -78,52 +71,20 @@ class Sensitivity:
         return next((index for index in self.indices if index.matters), None)
 
 
-def sensitivities(
-    drives: Drives, names: Sequence[str], inputs: Sequence[str], saltelli: Sequence[str]
-) -> list[Sensitivity]:
-    """Of these measurements, on `inputs`; `saltelli` are the factors of such a design, in their order, else empty.
+def sensitivities(drives: Drives, names: Sequence[str], saltelli: Sequence[str]) -> list[Sensitivity]:
+    """Of these measurements; `saltelli` are the factors of such a design, in their order, else empty.
 
     `drives` are those drawn independently, which noise is told of, and of any other sampling the indices.
     """
     rows = drives.rows
     full = Drives(rows, drives.design) if saltelli else drives
-    curves = Curves({name: drives.inputs[name] for name in inputs})
+    curves = Curves(drives.inputs.told)
     found = []
     for name in names:
         n, indices, why = _by_saltelli(full, name, saltelli) if saltelli else curves.indices(drives.each(name))
         ordered = tuple(sorted(indices, key=lambda index: -index.size))
         found.append(Sensitivity(name, rows.designs[drives.design], n, ordered, noise(drives.values(name)), why))
     return found
-
-
-def varied(inputs: Mapping[str, F64]) -> tuple[list[str], list[str]]:
-    """The inputs that indices are told of, and in words why others are not and which cannot be told apart."""
-    moving = [name for name, values in inputs.items() if np.isfinite(values).all() and varies(values[:MOST])]
-    words = [f"{name} does not vary" for name in inputs if name not in moving]
-    columns = np.array([inputs[name][:MOST] for name in moving])
-    r = np.atleast_2d(np.corrcoef(columns)) if moving else np.eye(0)
-    kinds = [np.unique(column, return_inverse=True)[1] for column in columns]
-    pairs = permutations(range(len(moving)), 2)
-    follows = {(b, a) for b, a in pairs if abs(r[a, b]) > ONE or _follows(kinds[b], kinds[a])}
-    kept = []
-    for b, name in enumerate(moving):
-        of = [a for a in range(len(moving)) if (b, a) in follows and (a < b or (a, b) not in follows)]
-        if of:
-            words.append(f"{name} follows from {moving[of[0]]}, which stands for both")
-        else:
-            kept.append(b)
-    least = max(TOGETHER, 4.0 / math.sqrt(columns.shape[-1] or 1))
-    together = [(a, b) for a, b in combinations(kept, 2) if abs(r[a, b]) > least]
-    for a, b in sorted(together, key=lambda pair: -abs(r[pair]))[:3]:
-        both = f"{moving[a]} and {moving[b]} vary together (correlation {r[a, b]:.2f})"
-        words.append(f"{both}: what they share counts for both")
-    return [moving[k] for k in kept], words
-
-
-def _follows(b: NDArray[np.int64], a: NDArray[np.int64]) -> bool:
-    """Whether each value of `a`, which come several times, has one of `b`: both are numbers of values, from 0."""
-    values = int(a.max()) + 1
-    return SEVERAL * values <= len(a) and len(np.unique(a * (int(b.max()) + 1) + b)) == values
 
 
 class Curves:
@@ -209,7 +170,7 @@ def _by_saltelli(drives: Drives, name: str, factors: Sequence[str]) -> tuple[int
     rest = float((total + off_total).min()) if heard is None else heard.hi / (r - (r - 1) * heard.hi)
     sure = float(special.ndtri(1.0 - 0.025 / len(factors))) / Z
     matters = (first > np.maximum(off_first, Z * SHAPE) * sure) | (total - off_total * sure > rest)
-    moving = [k for k, factor in enumerate(factors) if factor not in drives.inputs or varies(drives.inputs[factor])]
+    moving = [k for k, factor in enumerate(factors) if f"{factor} does not vary" not in drives.inputs.notes]
     ones = [np.clip([it, it - off, it + off], 0.0, 1.0).T for it, off in ((first, off_first), (total, off_total))]
     alone, others = ([Estimate(*map(float, each)) for each in one] for one in ones)
     return n, [Index(factors[k], alone[k], others[k], bool(matters[k])) for k in moving], ""
