@@ -19,6 +19,8 @@ TOGETHER, MOSTLY, ONE = 0.3, 0.8, 1.0 - 1e-9
 """The least correlation of two inputs that is told, of two that are told apart from each other, and of two that are
 one.
 """
+OWN = "own part"
+"""Of an input that mostly follows another: what it adds to that."""
 SEVERAL = 3
 """How often each value of an input comes, where it may be a set that others are drawn with."""
 
@@ -57,8 +59,10 @@ def varied(inputs: Mapping[str, F64]) -> Inputs:
         a = max((a for a in kept if a < b), key=lambda a: abs(r[a, b]), default=b)
         if a != b and abs(r[a, b]) > mostly:
             by = inputs[moving[a]] - inputs[moving[a]].mean()
-            notes.append(f"{name} mostly follows from {moving[a]} (correlation {r[a, b]:.2g}): told is what it adds")
-            name, x = f"{name} apart from {moving[a]}", x - by * float(by @ x / (by @ by))
+            notes.append(
+                f"{name} mostly follows {moving[a]} (correlation {r[a, b]:.3g}): {OWN} is what it adds to that"
+            )
+            name, x = f"{name}, {OWN}", x - x.mean() - by * float(by @ x / (by @ by))
         told[name] = x
     together = [(a, b) for a, b in combinations(kept, 2) if least < abs(r[a, b]) <= mostly]
     for a, b in sorted(together, key=lambda pair: -abs(r[pair]))[:3]:
