@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from bench.files import finite
 from bench.study.capability import Capability, capability
 from bench.study.drives import ALL, Drives
@@ -72,7 +74,7 @@ def answer(rows: Rows, about: About) -> Answers:
     left = [note for drives in designs for note in drives.inputs.notes]
     full = [Drives(rows, drives.design) for drives in designs]
     return Answers(
-        len(set(rows.sample.tolist())),
+        len(np.unique(rows.sample)),
         yields(designs),
         found,
         [each for drives in designs for each in sensitivities(drives, _once(found), about.saltelli)],
@@ -106,7 +108,7 @@ def _badness(found: Worst) -> tuple[bool, float]:
 
 
 def _notes(rows: Rows, about: About, left: list[str], designs: list[Drives]) -> list[str]:
-    there, repetitions = len(set(rows.sample.tolist())), int(rows.repetition.max(initial=0)) + 1
+    there, repetitions = len(np.unique(rows.sample)), int(rows.repetition.max(initial=0)) + 1
     notes = []
     if there < about.sample_count:
         notes.append(f"{there} of {about.sample_count} drives are there: the rest was not run yet, or is lost.")

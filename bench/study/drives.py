@@ -80,6 +80,12 @@ class Drives:
         passed, failed = (np.array(each) for each in zip(*found.values(), strict=True))
         return {ALL: (passed.all(axis=0), failed.any(axis=0)), **found}
 
+    def first_without(self, test: str, drives: Bools) -> int | None:
+        """The number of the first row of these drives, (n,), that neither passed nor failed a test."""
+        at = self.place[drives]
+        at = at[at >= 0]
+        return min(self.rows.row[at[~self.rows.judged(test)[at]]].tolist(), default=None)
+
     @cached_property
     def inputs(self) -> Inputs:
         """What was varied in this design: KEY@DESIGN is of that design only, and in the place of KEY."""

@@ -52,6 +52,7 @@ def test_a_drive_passes_that_passes_in_every_repetition() -> None:
     )
     found = answer(rows, about(rows))
     t, u, both = (yield_of(found, test) for test in ("t", "u", ALL))
+    assert (t.unknown_row, u.unknown_row, both.unknown_row) == (7, 10, None)
     assert (t.passed, t.failed, t.unknown, t.bounds) == (2, 2, 2, pytest.approx((2 / 6, 4 / 6)))
     assert (u.passed, u.failed, u.unknown) == (4, 1, 1)
     assert (both.passed, both.failed, both.unknown, both.bounds) == (1, 3, 2, pytest.approx((1 / 6, 3 / 6)))
