@@ -16,7 +16,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from contextlib import ExitStack, closing, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
@@ -35,7 +35,7 @@ STRANGERS = 3.0  # s for a worker that fits to join where others do not
 BUSY = 120.0  # s for a worker to answer for the first time: others may use it, or its disk is slow
 LOOK = 0.5  # s between two looks at who is there
 CLOSE = 1.0  # s
-RESTARTS = 3  # schedulers of a local cluster that may die
+RESTARTS = 3  # schedulers of a local cluster that may die before another row comes
 HOPELESS = 10  # rows that may crash their workers while fewer have come back
 HELLO = 0  # in place of a batch's number
 KEPT = "what is done is kept: the same command again goes on from there"
@@ -132,13 +132,14 @@ class Cluster:
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Cluster:
-        with ExitStack() as opened:
-            opened.enter_context(_quiet())
-            self._client = self._connect(opened)
-            self._open = opened.pop_all()
+        try:
+            self._begin()
+        except SchedulerLost as error:
+            raise BenchError(self._gone(error)) from None
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._client = self._process = None
         self._open.close()
 
     def run(self, plan: bytes, work: str, rows: Iterable[int]) -> Iterator[Done | Crashed]:
@@ -147,21 +148,32 @@ class Cluster:
         Ended early it leaves the batches that workers have at work to them; what they make is dropped.
         """
         schedule = Schedule(rows)
-        for restarts in range(RESTARTS + 1):
-            with closing(Calls(self._client)) as calls:
-                try:
-                    yield from Crew(self, calls, schedule, plan, work).run()
-                    return
-                except SchedulerLost as error:
-                    if self.address:
-                        words = f"the dask scheduler {self.address} is gone ({error})"
-                        raise BenchError(f"{words}; {KEPT}, when a scheduler is there") from None
+        restarts = 0
+        while True:
+            try:
+                if not self._client:
+                    self._begin()
+                with closing(Calls(self._client)) as calls:
+                    for came in Crew(self, calls, schedule, plan, work).run():
+                        restarts = 0
+                        yield came
+                return
+            except SchedulerLost as error:
+                restarts += 1
+                if self.address or restarts > RESTARTS:
+                    raise BenchError(f"{self._gone(error)}; {KEPT}") from None
+                self.note(f"{self._gone(error)}: a new one is started")
             schedule.lost()
-            self.note("the scheduler of the workers has died: new ones are started")
             self.__exit__()
-            if restarts < RESTARTS:
-                self.__enter__()
-        raise BenchError(f"the scheduler of the workers has died {RESTARTS + 1} times; {KEPT}")
+
+    def _gone(self, error: SchedulerLost) -> str:
+        return f"the dask scheduler {self.address or 'of this machine'} is gone ({error})"
+
+    def _begin(self) -> None:
+        with ExitStack() as opened:
+            opened.enter_context(_quiet())
+            self._client = self._connect(opened)
+            self._open = opened.pop_all()
 
     def look(self) -> None:
         """Raise SchedulerLost where this machine's scheduler has ended."""
@@ -173,6 +185,8 @@ class Cluster:
         try:
             client = import_module("distributed").Client(address, timeout=CONNECT, set_as_default=False)
         except (OSError, ValueError, ImportError, RuntimeError) as error:
+            if not self.address:
+                raise SchedulerLost(told(error)) from None
             words = f"no dask scheduler answers at {address} ({told(error)})"
             advice = "start one there with `dask scheduler`, or leave --cluster out for the cores of this machine"
             raise BenchError(f"{words}: {advice}") from None
@@ -198,7 +212,7 @@ class Cluster:
         if address := process.stdout.readline().decode().strip():
             return address
         lines = Path(folder, "log").read_text(errors="replace").strip().splitlines() or ["it has ended"]
-        raise BenchError(f"the workers of this machine cannot be started: {lines[-1]}; --workers 1 does without")
+        raise SchedulerLost(lines[-1])
 
 
 class Crew:
@@ -260,6 +274,8 @@ class Crew:
     def _took(self, came: Came) -> Iterator[Done | Crashed]:
         worker, number, value = came
         name = self._names.get(worker, worker)
+        if isinstance(value, (OSError, CancelledError)):
+            raise SchedulerLost(told(value))
         if number == HELLO:
             self._met(worker, value)
         elif isinstance(value, Computed) and not value.why:
@@ -275,7 +291,6 @@ class Crew:
             self._here[worker] = threads
             self._greet(worker)
         else:
-            self._cluster.look()
             assert isinstance(value, BaseException)
             raise BenchError(f"the cluster has failed at the worker {name}: {told(value)}; {KEPT}")
 
