@@ -77,9 +77,10 @@ def _yield_pair(test: str, a: Drives, b: Drives, n: int, only_a: int, only_b: in
     p = float(stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
     found = yield_difference(only_a, only_b, n)
     size = Estimate(abs(found.value), *sorted((abs(found.lo), abs(found.hi))))
-    words = f"{'more' if found.value > 0 else 'fewer'} drives pass in {names[1]} than in {names[0]}"
-    seen = f"{percent(size.value)} {words} ({span(size, share=True)})"
-    none = f"no difference of yields seen (it is less than {percent(max(-found.lo, found.hi))})"
+    points, least = (percent(value).replace("%", "points") for value in (size.value, max(-found.lo, found.hi)))
+    words = f"{'higher' if found.value > 0 else 'lower'} in {names[1]} than in {names[0]}"
+    seen = f"the yield is {points} {words} ({span(size, share=True).removesuffix(' %')})"
+    none = f"no difference of yields seen (it is less than {least})"
     return YieldPair(test, *names, n, only_a, only_b, p, found, seen if p < SURE and found.certain else none)
 
 
