@@ -69,7 +69,10 @@ def answer(rows: Rows, about: About) -> Answers:
     for each in found:
         room[each.name] = min(room.get(each.name, (True, math.inf, math.inf)), _room(each))
     found.sort(key=lambda each: room[each.name])
-    first, others = designs[:1], designs[1:]
+    names = list(room)
+    names.sort(key=lambda name: room[name])
+    tests = [ALL, *rows.verdicts]
+    pairs = [(designs[0], other) for other in designs[1:]]
     inputs = [name for drives in designs for name in drives.inputs.told]
     left = [note for drives in designs for note in drives.inputs.notes]
     full = [Drives(rows, drives.design) for drives in designs]
@@ -77,11 +80,11 @@ def answer(rows: Rows, about: About) -> Answers:
         len(np.unique(rows.sample)),
         yields(designs),
         found,
-        [each for drives in designs for each in sensitivities(drives, _once(found), about.saltelli)],
+        [each for drives in designs for each in sensitivities(drives, names, about.saltelli)],
         about.saltelli or tuple(dict.fromkeys(inputs)),
         sorted((each for drives in full for each in worst(drives, about.replay)), key=_badness),
-        sorted((pair for a in first for b in others for pair in yield_pairs(a, b)), key=lambda pair: pair.test != ALL),
-        [pair for a in first for b in others for pair in value_pairs(a, b, _once(found))],
+        sorted((one for pair in pairs for one in yield_pairs(*pair)), key=lambda one: tests.index(one.test)),
+        sorted((one for pair in pairs for one in value_pairs(*pair, names)), key=lambda one: names.index(one.name)),
         tuple(_notes(rows, about, list(dict.fromkeys(left)), designs)),
     )
 

@@ -143,6 +143,11 @@ def test_the_worst_repetition_counts_beside_a_limit_as_in_a_verdict() -> None:
     assert of(found, "t.m").sides[0].beyond == yield_of(found, "t").failed
 
 
+def test_a_value_at_its_limit_is_within() -> None:
+    rows = normal_study(40, 2.0, 0.0, Limits("t.m", "", 2.0, 2.0))
+    assert [side.beyond for side in of(answer(rows, about(rows)), "t.m").sides] == [0, 0]
+
+
 def test_what_is_not_normal_is_judged_by_the_share_seen() -> None:
     values = np.random.default_rng(2).standard_exponential((5000, 1, 1))
     for limit, said in ((4.0, "no"), (12.0, "yes")):  # 4 is 3 sd from the mean, with 1.8 % beyond it
