@@ -162,9 +162,12 @@ def _beyond(ax: Axes, found: Sequence[Capability], drives: Sequence[Drives]) -> 
 def _scatter(ax: Axes, found: Capability, drives: Sequence[Drives], made: Sequence[Sensitivity]) -> None:
     """Over the input that matters most in the first design that has one."""
     index = next((each.strongest for each in made if each.strongest), None)
-    have = [of for of in drives if index is not None and index.input in of.inputs.told]
-    if index is None or not have:
+    if index is None:
         _empty(ax, "no input is seen to matter" if any(each.indices for each in made) else "no indices")
+        return
+    have = [of for of in drives if index.input in of.inputs.told]
+    if not have:  # a factor that is no figure of the drive
+        _empty(ax, f"strongest:\n{index.input}")
         return
     for of in have:
         every = max(len(of) // DOTS, 1)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from scipy.stats import qmc
 
 from bench.study.statistics import (
     Estimate,
@@ -118,3 +119,16 @@ def test_only_what_is_plainly_not_normal_is_called_so() -> None:
 ])  # fmt: skip
 def test_numbers_in_words(words: object, wanted: object) -> None:
     assert words == wanted
+
+
+@pytest.mark.parametrize("draw", [qmc.Sobol, qmc.LatinHypercube])
+def test_of_drives_that_are_drawn_evenly_intervals_are_wide_enough(draw: type[qmc.QMCEngine]) -> None:
+    """The report says so; the figure grows with each of its four inputs."""
+    weights = np.array([1.0, 0.7, 0.5, 0.3])
+    limit = stats.norm.ppf(0.9, scale=np.sqrt((weights**2).sum()))
+    found = []
+    for seed in range(150):
+        values = stats.norm.ppf(draw(4, seed=seed).random(128)) @ weights
+        found.append((share(int((values <= limit).sum()), 128), quantile(values, 0.9)))
+    assert np.mean([each.lo <= 0.9 <= each.hi for each, _ in found]) >= 0.95
+    assert np.mean([each.lo <= limit <= each.hi for _, each in found]) >= 0.95

@@ -288,3 +288,11 @@ def test_an_input_of_one_design_is_told_of_that_one_only(tmp_path: Path) -> None
     assert told == {"a": {"e": True, "x": False}, "b": {"x": True, "e@b": True}}
     assert {name for each in found.worst if each.design == "a" for name, _, _ in each.unusual} <= {"x", "e"}
     assert write_report(tmp_path, rows, about(rows)).exists()
+
+
+def test_a_factor_that_is_no_figure_of_the_drive_has_indices_too(tmp_path: Path) -> None:
+    x, y = saltelli(64)
+    rows = study(x, y).rows
+    said = about(rows, saltelli=("x0", "error of x1", "x2"))
+    assert answer(rows, said).sensitivity[0].indices[0].input in ("x0", "error of x1")
+    assert "error of x1" in write_report(tmp_path, rows, said).read_text()
