@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -28,6 +29,7 @@ from bench.errors import BenchError
 from bench.study.schedule import Crashed, Done, Schedule
 from bench.study.worker import Computed, Worker, compute, identity, introduce, token_of, told
 from bench.system import APART
+from sim.interrupts import Held
 
 CONNECT = 10.0  # s for a scheduler to answer
 JOIN = 30.0  # s for a worker to join, or to come back
@@ -50,28 +52,77 @@ class Came(NamedTuple):
 
 
 class Here(NamedTuple):
-    """The workers that there are now, with their threads; `why` where the scheduler does not answer."""
+    """The workers that there are now, with their threads; None where the scheduler does not answer."""
 
-    workers: dict[str, int]
-    why: str = ""
+    workers: dict[str, int] | None
 
 
 class SchedulerLost(Exception):
     """The cluster's scheduler has ended, or cannot be reached."""
 
 
+class Connection:
+    """A client of dask in a thread of its own, where no signal interrupts it."""
+
+    def __init__(self, address: str) -> None:
+        self.client: Any = None
+        self.loop: asyncio.AbstractEventLoop | None = None
+        self._task: asyncio.Task[Any] | None = None
+        self._answer = SimpleQueue[Exception | None]()
+        self._thread = threading.Thread(target=self._run, args=(address,), daemon=True)
+        self._thread.start()
+
+    def answer(self) -> None:
+        """Wait for the scheduler's answer; raises what dask does where there is none."""
+        if error := self._answer.get():
+            raise error
+
+    def close(self) -> None:
+        """End it."""
+        if self.loop and self._task:
+            with suppress(RuntimeError):  # it has ended
+                self.loop.call_soon_threadsafe(self._task.cancel)
+            self._thread.join(CLOSE)
+
+    def _run(self, address: str) -> None:
+        with suppress(asyncio.CancelledError):
+            asyncio.run(self._live(address))
+
+    async def _live(self, address: str) -> None:
+        self._task, self.loop = asyncio.current_task(), asyncio.get_running_loop()
+        self.loop.set_exception_handler(lambda *_: None)  # it tells of calls that were given up
+        try:
+            self.client = import_module("distributed").Client(
+                address, timeout=CONNECT, asynchronous=True, set_as_default=False
+            )
+            await self.client
+            self._answer.put(None)
+            await asyncio.Event().wait()
+        except Exception as error:
+            self._answer.put(error)
+        finally:
+            if self.client:
+                with suppress(Exception):
+                    await self.client.close(timeout=CLOSE)
+
+
 class Calls:
     """Calls at workers, by one client of dask. What comes of them, and who is there, is put into `events`."""
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, connection: Connection) -> None:
         self.events = SimpleQueue[Came | Here]()
-        self._client = client
+        self._client, self._loop = connection.client, connection.loop
         self._running: dict[str, dict[int, Future[None]]] = {}
         self._watching = self._start(self._watch())
 
     def send(self, worker: str, number: int, function: Callable[..., object], *arguments: object) -> None:
         """Call a function there; `number` says which call it was."""
         self._running.setdefault(worker, {})[number] = self._start(self._call(worker, number, function, arguments))
+
+    def look(self) -> None:
+        """Raise SchedulerLost where nobody watches the workers any more."""
+        if self._watching.done():
+            raise SchedulerLost
 
     def ended(self, came: Came) -> None:
         """A call's event was taken from the queue."""
@@ -89,7 +140,8 @@ class Calls:
             self.forget(worker)
 
     def _start(self, call: Any) -> Future[None]:
-        return asyncio.run_coroutine_threadsafe(call, self._client.loop.asyncio_loop)
+        assert self._loop
+        return asyncio.run_coroutine_threadsafe(call, self._loop)
 
     async def _call(self, worker: str, number: int, function: Callable[..., object], arguments: Any) -> None:
         place = {"workers": [worker], "allow_other_workers": False, "pure": False, "key": f"study-{uuid4().hex}"}
@@ -106,8 +158,8 @@ class Calls:
                 if self._client.status != "running":
                     raise OSError("the connection is closed")
                 now = dict(await asyncio.wait_for(self._client.scheduler.ncores(), JOIN))
-            except Exception as error:
-                self.events.put(Here({}, told(error)))
+            except Exception:
+                self.events.put(Here(None))
                 return
             if now != before:
                 self.events.put(Here(now))
@@ -128,8 +180,9 @@ class Cluster:
         self.address, self.note = address, note
         self._workers = workers
         self._open = ExitStack()
-        self._client: Any = None
+        self._connection: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        self._calls: Calls | None = None
 
     def __enter__(self) -> Cluster:
         try:
@@ -139,8 +192,11 @@ class Cluster:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._client = self._process = None
-        self._open.close()
+        self._connection = self._process = None
+        with Held():  # whoever presses Ctrl-C twice leaves nothing either
+            if self._calls:
+                self._calls.close()
+            self._open.close()
 
     def run(self, plan: bytes, work: str, rows: Iterable[int]) -> Iterator[Done | Crashed]:
         """Rows through `work`, module:function, as they come. BenchError where that fails, or nobody is left to do it.
@@ -151,9 +207,9 @@ class Cluster:
         restarts = 0
         while True:
             try:
-                if not self._client:
-                    self._begin()
-                with closing(Calls(self._client)) as calls:
+                connection = self._connection or self._begin()
+                with closing(Calls(connection)) as calls:
+                    self._calls = calls
                     for came in Crew(self, calls, schedule, plan, work).run():
                         restarts = 0
                         yield came
@@ -167,32 +223,34 @@ class Cluster:
             self.__exit__()
 
     def _gone(self, error: SchedulerLost) -> str:
-        return f"the dask scheduler {self.address or 'of this machine'} is gone ({error})"
+        why = f" ({error})" if str(error) else ""
+        return f"the dask scheduler {self.address or 'of this machine'} is gone{why}"
 
-    def _begin(self) -> None:
+    def _begin(self) -> Connection:
         with ExitStack() as opened:
             opened.enter_context(_quiet())
-            self._client = self._connect(opened)
+            connection = self._connection = self._connect(opened)
             self._open = opened.pop_all()
+        return connection
 
     def look(self) -> None:
         """Raise SchedulerLost where this machine's scheduler has ended."""
         if self._process and self._process.poll() is not None:
-            raise SchedulerLost("it has ended")
+            raise SchedulerLost
 
-    def _connect(self, opened: ExitStack) -> Any:
+    def _connect(self, opened: ExitStack) -> Connection:
         address = self.address or self._start(opened)
+        connection = Connection(address)
+        opened.callback(connection.close)
         try:
-            client = import_module("distributed").Client(address, timeout=CONNECT, set_as_default=False)
-        except (OSError, ValueError, ImportError, RuntimeError) as error:
+            connection.answer()
+        except Exception as error:
             if not self.address:
                 raise SchedulerLost(told(error)) from None
             words = f"no dask scheduler answers at {address} ({told(error)})"
             advice = "start one there with `dask scheduler`, or leave --cluster out for the cores of this machine"
             raise BenchError(f"{words}: {advice}") from None
-        opened.callback(_close, client)
-        client.loop.asyncio_loop.set_exception_handler(lambda *_: None)  # it tells of calls that were given up
-        return client
+        return connection
 
     def _start(self, opened: ExitStack) -> str:
         """A scheduler and workers on this machine, in a session of their own, which Ctrl-C at a terminal spares."""
@@ -236,6 +294,7 @@ class Crew:
                 event = self._calls.events.get(timeout=LOOK)
             except Empty:
                 self._cluster.look()
+                self._calls.look()
                 self._require()
                 continue
             if isinstance(event, Here):
@@ -245,8 +304,8 @@ class Crew:
                 yield from self._took(event)
 
     def _look(self, now: Here) -> Iterator[Crashed]:
-        if now.why:
-            raise SchedulerLost(now.why)
+        if now.workers is None:
+            raise SchedulerLost
         for worker in [*(self._here.keys() - now.workers)]:
             if name := self._names.get(worker):
                 self._cluster.note(f"the worker {name} has gone: what it was computing is computed again")
@@ -275,7 +334,7 @@ class Crew:
         worker, number, value = came
         name = self._names.get(worker, worker)
         if isinstance(value, (OSError, CancelledError)):
-            raise SchedulerLost(told(value))
+            raise SchedulerLost
         if number == HELLO:
             self._met(worker, value)
         elif isinstance(value, Computed) and not value.why:
@@ -348,11 +407,6 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             os.killpg(process.pid, signal.SIGKILL)
     process.kill()
     process.communicate()
-
-
-def _close(client: Any) -> None:
-    with suppress(Exception):
-        client.close(timeout=CLOSE)
 
 
 @contextmanager
