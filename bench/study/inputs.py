@@ -60,7 +60,7 @@ def varied(inputs: Mapping[str, F64]) -> Inputs:
         if a != b and abs(r[a, b]) > mostly:
             by = inputs[moving[a]] - inputs[moving[a]].mean()
             notes.append(
-                f"{name} mostly follows {moving[a]} (correlation {r[a, b]:.3g}): {OWN} is what it adds to that"
+                f"{name} mostly follows {moving[a]} (correlation {r[a, b]:.3g}): its {OWN} is what it adds to that"
             )
             name, x = f"{OWN} of {name}", x - x.mean() - by * float(by @ x / (by @ by))
         told[name] = x

@@ -197,7 +197,8 @@ def test_what_mostly_follows_another_is_told_by_what_it_adds() -> None:
     (found,) = sensitivities(study(x, np.abs(error) + 0.2 * random.normal(size=300)), ["t.y"], ())
     assert [index.input for index in found.indices if index.matters] == ["own part of x1"]
     assert found.indices[0].first.lo > 0.9
-    adds = study(x, error).inputs.told["own part of x1"]
+    adds, notes = study(x, error).inputs.told["own part of x1"], study(x, error).inputs.notes
+    assert notes == ("x1 mostly follows x0 (correlation 0.977): its own part is what it adds to that",)
     assert abs(np.corrcoef(adds, error)[0, 1]) > 0.99
 
 
