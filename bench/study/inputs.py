@@ -60,9 +60,9 @@ def varied(inputs: Mapping[str, F64]) -> Inputs:
         if a != b and abs(r[a, b]) > mostly:
             by = inputs[moving[a]] - inputs[moving[a]].mean()
             notes.append(
-                f"{name} mostly follows {moving[a]} (correlation {r[a, b]:.3g}): {OWN} is what it adds to that"
+                f"{name} mostly follows {moving[a]} (correlation {r[a, b]:.3g}): its {OWN} is what it adds to that"
             )
-            name, x = f"{name}, {OWN}", x - x.mean() - by * float(by @ x / (by @ by))
+            name, x = f"{OWN} of {name}", x - x.mean() - by * float(by @ x / (by @ by))
         told[name] = x
     together = [(a, b) for a, b in combinations(kept, 2) if least < abs(r[a, b]) <= mostly]
     for a, b in sorted(together, key=lambda pair: -abs(r[pair]))[:3]:

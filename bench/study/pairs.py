@@ -80,7 +80,7 @@ def _yield_pair(test: str, a: Drives, b: Drives, n: int, only_a: int, only_b: in
     points, least = (percent(value).replace("%", "points") for value in (size.value, max(-found.lo, found.hi)))
     words = f"{'higher' if found.value > 0 else 'lower'} in {names[1]} than in {names[0]}"
     seen = f"the yield is {points} {words} ({span(size, share=True).removesuffix(' %')})"
-    none = f"no difference of yields seen (it is less than {least})"
+    none = f"no difference of yields seen between {names[1]} and {names[0]} (it is less than {least})"
     return YieldPair(test, *names, n, only_a, only_b, p, found, seen if p < SURE and found.certain else none)
 
 

@@ -195,9 +195,10 @@ def test_what_mostly_follows_another_is_told_by_what_it_adds() -> None:
     angle, error = random.uniform(0.0, 50.0, 300), random.normal(0.0, 3.0, 300)
     x = np.column_stack([angle, 0.0175 * (angle + error), random.normal(size=300)])
     (found,) = sensitivities(study(x, np.abs(error) + 0.2 * random.normal(size=300)), ["t.y"], ())
-    assert [index.input for index in found.indices if index.matters] == ["x1, own part"]
+    assert [index.input for index in found.indices if index.matters] == ["own part of x1"]
     assert found.indices[0].first.lo > 0.9
-    adds = study(x, error).inputs.told["x1, own part"]
+    adds, notes = study(x, error).inputs.told["own part of x1"], study(x, error).inputs.notes
+    assert notes == ("x1 mostly follows x0 (correlation 0.977): its own part is what it adds to that",)
     assert abs(np.corrcoef(adds, error)[0, 1]) > 0.99
 
 
