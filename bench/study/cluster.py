@@ -232,11 +232,14 @@ class Cluster:
         return f"the dask scheduler {self.address or 'of this machine'} is gone{why}"
 
     def _begin(self) -> Connection:
-        with ExitStack() as opened:
+        opened = self._open = ExitStack()
+        try:
             opened.enter_context(_quiet())
-            connection = self._connection = self._connect(opened)
-            self._open = opened.pop_all()
-        return connection
+            self._connection = self._connect(opened)
+        except BaseException:
+            self.__exit__()
+            raise
+        return self._connection
 
     def look(self) -> None:
         """Raise SchedulerLost where this machine's scheduler has ended."""
