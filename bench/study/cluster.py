@@ -39,6 +39,8 @@ LOOK = 0.5  # s between two looks at who is there
 CLOSE = 1.0  # s
 RESTARTS = 3  # schedulers of a local cluster that may die before another row comes
 HOPELESS = 10  # rows that may crash their workers while fewer have come back
+UNDELIVERED = (OSError, CancelledError, asyncio.CancelledError)
+"""What dask raises where a connection breaks: it may be the scheduler's, of which others tell."""
 HELLO = 0  # in place of a batch's number
 KEPT = "what is done is kept: the same command again goes on from there"
 
@@ -74,8 +76,11 @@ class Connection:
 
     def answer(self) -> None:
         """Wait for the scheduler's answer; raises what dask does where there is none."""
-        if error := self._answer.get():
-            raise error
+        with suppress(Empty):
+            if error := self._answer.get(timeout=2 * CONNECT):
+                raise error
+            return
+        raise TimeoutError("no answer")
 
     def close(self) -> None:
         """End it."""
@@ -124,9 +129,9 @@ class Calls:
         if self._watching.done():
             raise SchedulerLost
 
-    def ended(self, came: Came) -> None:
-        """A call's event was taken from the queue."""
-        self._running.get(came.worker, {}).pop(came.number, None)
+    def expected(self, came: Came) -> bool:
+        """Whether it is of a call that was not forgotten, and comes for the first time."""
+        return self._running.get(came.worker, {}).pop(came.number, None) is not None
 
     def forget(self, worker: str) -> None:
         """Expect nothing more of it."""
@@ -147,7 +152,7 @@ class Calls:
         place = {"workers": [worker], "allow_other_workers": False, "pure": False, "key": f"study-{uuid4().hex}"}
         try:
             value = await self._client.submit(function, *arguments, **place)
-        except Exception as error:
+        except (Exception, asyncio.CancelledError) as error:  # dask, too, cancels what it cannot bring
             value = error
         self.events.put(Came(worker, number, value))
 
@@ -227,11 +232,14 @@ class Cluster:
         return f"the dask scheduler {self.address or 'of this machine'} is gone{why}"
 
     def _begin(self) -> Connection:
-        with ExitStack() as opened:
+        opened = self._open = ExitStack()
+        try:
             opened.enter_context(_quiet())
-            connection = self._connection = self._connect(opened)
-            self._open = opened.pop_all()
-        return connection
+            self._connection = self._connect(opened)
+        except BaseException:
+            self.__exit__()
+            raise
+        return self._connection
 
     def look(self) -> None:
         """Raise SchedulerLost where this machine's scheduler has ended."""
@@ -299,8 +307,7 @@ class Crew:
                 continue
             if isinstance(event, Here):
                 yield from self._look(event)
-            else:
-                self._calls.ended(event)
+            elif self._calls.expected(event):
                 yield from self._took(event)
 
     def _look(self, now: Here) -> Iterator[Crashed]:
@@ -333,9 +340,13 @@ class Crew:
     def _took(self, came: Came) -> Iterator[Done | Crashed]:
         worker, number, value = came
         name = self._names.get(worker, worker)
-        if isinstance(value, (OSError, CancelledError)):
-            raise SchedulerLost
-        if number == HELLO:
+        killed = type(value).__name__ == "KilledWorker"
+        if value is None or killed or isinstance(value, UNDELIVERED):  # another one is at its address, or it may be
+            threads = self._here[worker]
+            yield from self._gone(worker, killed)
+            self._here[worker] = threads
+            self._greet(worker)
+        elif number == HELLO:
             self._met(worker, value)
         elif isinstance(value, Computed) and not value.why:
             if batch := self._schedule.came(worker, number, value.seconds):
@@ -344,11 +355,6 @@ class Crew:
         elif isinstance(value, Computed):
             yield from self._rest()
             raise BenchError(f"{value.why} (worker {name})")
-        elif value is None or type(value).__name__ == "KilledWorker":  # there is another one at its address
-            threads = self._here[worker]
-            yield from self._gone(worker, died=value is not None)
-            self._here[worker] = threads
-            self._greet(worker)
         else:
             assert isinstance(value, BaseException)
             raise BenchError(f"the cluster has failed at the worker {name}: {told(value)}; {KEPT}")
@@ -406,7 +412,8 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
     process.kill()
-    process.communicate()
+    with suppress(subprocess.TimeoutExpired):  # until the last of them has closed its output
+        process.communicate(timeout=CLOSE)
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from bench.study.schedule import Done
 from tests.bench.processes import Program
 
 pytest.importorskip("distributed")
+pytestmark = pytest.mark.long("each starts a cluster of real processes, some of them two")
 
 ROOT = Path(__file__).parents[3]
 HELD = "tests.bench.study.engine_work:held"
@@ -205,7 +206,6 @@ def another_version(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(folder)
 
 
-@pytest.mark.slow
 def test_a_worker_of_another_version_is_refused_by_name_and_the_others_work(
     somebodys: Somebodys, another_version: str, tmp_path: Path
 ) -> None:
@@ -226,7 +226,6 @@ def test_a_worker_of_another_version_is_refused_by_name_and_the_others_work(
     assert all(re.fullmatch(differs, note) for note in notes)
 
 
-@pytest.mark.slow
 def test_a_worker_that_joins_late_helps_and_one_that_comes_back_is_met_anew(
     somebodys: Somebodys, tmp_path: Path
 ) -> None:
