@@ -83,14 +83,16 @@ class Search:
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         self._parameters, self._objectives, self._seed, self._batch = parameters, objectives, seed, batch
         self._distributions = {one.key: one.distribution(optuna) for one in parameters}
-        directions = [one.sense for one in objectives]
+        directions = ["minimize" if one.sign > 0 else "maximize" for one in objectives]
         if file.exists():  # what a power cut has left of a line
             content = file.read_bytes()
             file.write_bytes(content[: content.rfind(b"\n") + 1])
         backend = optuna.storages.journal.JournalFileBackend(str(file), _NoLock())
         storage = optuna.storages.JournalStorage(backend)
         with _quiet():
-            self._disk = optuna.create_study(storage=storage, study_name="tune", directions=directions, load_if_exists=True)
+            self._disk = optuna.create_study(
+                storage=storage, study_name="tune", directions=directions, load_if_exists=True
+            )
             self._study = optuna.create_study(directions=directions)
             self._study.add_trials(self._disk.trials)
 

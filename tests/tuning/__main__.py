@@ -101,13 +101,18 @@ def tune(beside: Beside, constants: Constants, names: Sequence[str], seconds: fl
         told = []
         for _ in range(search.population_size):
             x = search.ask()
-            loss = beside.loss({name: constants.as_they_are[name] * math.exp(v) for name, v in zip(names, x, strict=True)})
+            loss = beside.loss(
+                {name: constants.as_they_are[name] * math.exp(v) for name, v in zip(names, x, strict=True)}
+            )
             told.append((x, loss))
             trials += 1
             if loss < best[0]:
                 best = loss, x
         search.tell(told)
-        print(f"{trials} trials, generation {search.generation}: {min(v for _, v in told):.4f}, best {best[0]:.4f}", flush=True)
+        print(
+            f"{trials} trials, generation {search.generation}: {min(v for _, v in told):.4f}, best {best[0]:.4f}",
+            flush=True,
+        )
     return {
         "trials": trials, "loss": best[0],
         "constants": {name: constants.as_they_are[name] * math.exp(v) for name, v in zip(names, best[1], strict=True)},
