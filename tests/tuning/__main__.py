@@ -3,7 +3,8 @@
     python -m tests.tuning screen       each constant x 0.7 and x 1.4, one at a time, on the drives to tune on
     python -m tests.tuning tune         CMA-ES over those that matter, by the same drives (needs `pip install cmaes`)
     python -m tests.tuning prove        what it found on other seeds and other motors, beside it and in control
-    python -m tests.tuning              all three
+    python -m tests.tuning paper        the paper's gains of vector_tracking against the best that bench tune finds
+    python -m tests.tuning              all of them
 
 Each writes its part of tests/tuning/found.json. The loss is the mean over drives and over RANGES and steps of
 log((error + FLOOR) / (error as it is + FLOOR)): 0 as it is, -0.1 for errors that are 10 % smaller.
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
@@ -23,7 +25,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from bench.cli.output import Progress
 from sim.drive.machine import SOURCES
+from tests.tuning import paper
 from tests.tuning.benches import DESIGNED_ON, OBSERVER, OTHERS, RANGES, STEPS, Drive, drive
 from tests.tuning.constants import Constants
 
@@ -160,20 +164,26 @@ def ratios(changed: np.ndarray) -> dict[str, list[float]]:
 def main() -> None:
     """See the module."""
     parser = argparse.ArgumentParser(prog="python -m tests.tuning", description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART", help="screen, tune, prove")
+    parser.add_argument("parts", nargs="*", metavar="PART", help="screen, tune, prove, paper")
     parser.add_argument("--minutes", type=float, default=20.0, help="for the search")
     parser.add_argument("--most", type=int, default=MOST, help="constants that are tuned together")
+    parser.add_argument("--folder", type=Path, help="where the tunes of the paper's gains are kept")
     parser.add_argument("--file", type=Path, default=FOUND)
     given = parser.parse_args()
-    parts = given.parts or ["screen", "tune", "prove"]
+    parts = given.parts or ["screen", "tune", "prove", "paper"]
     found = json.loads(given.file.read_text()) if given.file.exists() else {}
+    if "paper" in parts:
+        with tempfile.TemporaryDirectory() as folder, Progress() as screen:
+            found["paper"] = list(paper.rows(given.folder or Path(folder), screen, time.monotonic))
     constants = Constants()
     if {"screen", "tune"} & {*parts}:
         drives = [drive(name, seed) for name in DESIGNED_ON for seed in TUNED_ON]
         beside = Beside(constants, drives)
         print(f"{len(drives)} drives, {sum(len(one.reset) / one.pwm_hz for one in drives):.0f} s", flush=True)
     for part in parts:
-        if part == "screen":
+        if part == "paper":
+            pass
+        elif part == "screen":
             found[part] = screen(beside, constants)
         elif part == "tune":
             effects = found["screen"]
