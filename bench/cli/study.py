@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -13,9 +12,6 @@ from bench.cli.output import Progress
 from bench.cli.streams import echo, note
 from bench.errors import BenchError, ExitCode
 from bench.files import STANDARD_OUTPUT
-
-if TYPE_CHECKING:
-    from bench.study.rows import Rows
 
 STUDY = click.Path(path_type=Path)
 
@@ -115,8 +111,17 @@ def replay_command(
 
 
 def _answer(folder: Path, json_file: Path | None) -> None:
+    from bench.study.about import about
+    from bench.study.report import answer, answers, lines, write_report
     from bench.study.store import open_study, read_rows
 
-    rows: Rows = read_rows(folder)
-    open_study(folder)
-    echo(f"{len(rows)} rows")
+    rows = read_rows(folder)
+    told = about(open_study(folder), folder)
+    found = answer(rows, told)
+    report = write_report(folder, rows, told, overwrite=True, found=found)
+    if json_file is not None:
+        write_json(json_file, answers(rows, told, found))
+    say = note if json_file == STANDARD_OUTPUT else echo
+    for line in lines(rows, told, found):
+        say(line)
+    say(f"report: {report}")

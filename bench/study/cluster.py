@@ -25,7 +25,7 @@ from uuid import uuid4
 
 from bench.errors import BenchError
 from bench.study.schedule import Crashed, Done, Schedule
-from bench.study.worker import Computed, Worker, compute, identity, introduce, told, token_of
+from bench.study.worker import Computed, Worker, compute, identity, introduce, token_of, told
 from bench.system import APART
 
 CONNECT = 10.0  # s for a scheduler to answer

@@ -10,7 +10,7 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -202,8 +202,10 @@ def _turned(experiment: Experiment, params: BenchParams, seed: int, save: Path |
     except ConfigError as error:
         outcome.end(test, Verdict.INVALID, str(error))
         return outcome
-    with nullcontext() if save is None else recording(run_in(save, experiment), connected(params, seed)) as run:
-        driven.watch = run or driven.watch
+    with ExitStack() as stack:
+        if save is not None:
+            rig, file = connected(params, seed), run_in(save, experiment)
+            driven.watch = stack.enter_context(recording(file, rig, driven.channels))
         outcome.measured = {f"{test}.{name}": value for name, value in driven.measure().items()}
     limits = {name: _limits(name, given) for name, given in experiment.limits.items()}
     if driven.fault:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from bench.record.writer import RunWriter
 from bench.rig.metadata import run_info
 from bench.rig.rig import Rig
+from protocol.signals import Flag
 from protocol.streams import SampleChunk, StreamConfig, unpack_edges
 from sim.ports.direct import Recorded
 
@@ -34,11 +36,17 @@ class DirectRun:
 
 
 @contextmanager
-def recording(path: Path, rig: Rig) -> Iterator[DirectRun]:
-    """Records to the run `path`; `rig` is one with such a drive, which tells what it streams, and is closed."""
+def recording(path: Path, rig: Rig, more: Collection[str]) -> Iterator[DirectRun]:
+    """Records to the run `path` what `rig`, one with such a drive, streams, the plant's state and the channels `more`.
+
+    The rig is closed.
+    """
     with rig:
-        samples = rig.samples
-        assert samples is not None
+        assert rig.samples is not None
+        wanted = {channel.name for channel in rig.samples.channels}.union(more)
+        known = rig.drive.node.descriptor.channels
+        channels = tuple(one for one in known if one.name in wanted or one.flags & Flag.TRUTH)
+        samples = replace(rig.samples, channels=channels)
         edges = next(one for one in rig.drive.node.active_streams() if not one.channels)
         info = run_info(rig.drive.node, rig.plan.target, samples.channels, rig.drive.parameters, rig.plan.settings)
     writer = RunWriter(path, info)

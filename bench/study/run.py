@@ -9,10 +9,10 @@ from pathlib import Path
 from bench.errors import BenchError
 from bench.rig.screen import Screen
 from bench.study.engine import Engine, Rate, open_engine
-from bench.study.experiments import ACCEPT, TURN, course, limits_of, lost
+from bench.study.experiments import course, limits_of, lost, test_of
 from bench.study.schedule import Crashed
 from bench.study.store import FOLDER, Store
-from bench.study.study import Study, read_study
+from bench.study.study import ACCEPT, TURN, Study, read_study
 from bench.study.worker import identity
 from protocol.text import counted
 from sim.ports.direct import ConfigError, Driven, with_values
@@ -71,7 +71,7 @@ def check(study: Study) -> None:
     """BenchError where an experiment cannot be done with the nominal drive, or two measure the same."""
     names: set[str] = set()
     for experiment in study.experiments:
-        tests = {name.removesuffix(f".{one.name}") for name, one in limits_of(study, experiment).items()}
+        tests = {test_of(name, limits) for name, limits in limits_of(study, experiment).items()}
         if double := sorted(names & tests):
             raise BenchError(f"two experiments have a test {double[0]}: leave it out of one of them")
         names |= tests

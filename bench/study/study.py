@@ -19,8 +19,8 @@ import hashlib
 import json
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from bench.device.simulator import configuration
 from bench.errors import BenchError
 from bench.signal.limits import Limits
 from bench.study.sampling import SAMPLINGS, SOBOL, Points, noise_seed
-from bench.study.variation import Variation, Varied, leaf, read_varied
+from bench.study.variation import Variation, Varied, in_design, leaf, read_varied
 from protocol.text import did_you_mean
 from sim.ports.direct import ENCODER, OBSERVERS, BenchParams, ConfigError, nominal, with_values
 
@@ -37,6 +37,7 @@ TOP: dict[str, Any] = {
     "samples": int, "repetitions": int, "seed": int, "sampling": str, "drive": str, "name": str,
     "set": dict, "vary": dict, "correlated": list, "tables": dict, "designs": dict, "experiments": dict,
 }  # fmt: skip
+VARY = "vary"
 MOST = 10**9
 """Rows, at most."""
 AS_CONFIGURED = "as configured"
@@ -126,9 +127,10 @@ class Study:
 
     def drive(self, row: int, values: Sequence[float] | None = None) -> BenchParams:
         """The drive of a row, whose inputs are `values` where they are known. ConfigError for one that cannot be."""
-        figures = self.figures[self.designs[self.place(row)[2]]]
+        design = self.designs[self.place(row)[2]]
+        figures = self.figures[design]
         values = self.inputs([row])[0].tolist() if values is None else values
-        return with_values(figures, self.variation.changes(values, figures))
+        return with_values(figures, self.variation.changes(values, figures, design))
 
 
 @lru_cache(4)
@@ -138,7 +140,7 @@ def _study_of(text: bytes) -> Study:
 
 def _varied(one: Mapping[str, Any]) -> Varied:
     given = tuple(tuple(v) if isinstance(v, list) else v for v in one["given"])
-    lists = {name: tuple(one[name]) for name in ("inputs", "base", "within")}
+    lists = {name: tuple(one[name]) for name in ("inputs", "base", "within", "only")}
     return Varied(**{**one, **lists, "given": given})
 
 
@@ -168,7 +170,7 @@ def study_of(data: Mapping[str, Any], path: Path) -> Study:
         raise BenchError(f"sampling in {where} is '{sampling}': {hint}")
     figures = _figures(data, path)
     base = next(iter(figures.values()))
-    varied = [read_varied(key, given, base, where) for key, given in data.get("vary", {}).items()]
+    varied = list(_read_vary(data, base, where))
     varied += [_read_table(name, given, base, path) for name, given in data.get("tables", {}).items()]
     names = [name for one in varied for name in one.inputs]
     if double := sorted({name for name in names if names.count(name) > 1}):
@@ -178,7 +180,7 @@ def study_of(data: Mapping[str, Any], path: Path) -> Study:
         raise BenchError(f"{where} has no experiment: write [experiments.NAME] with {', '.join(EXPERIMENT)}")
     plan = {
         "name": data.get("name", path.stem), "samples": samples, "repetitions": repetitions, "seed": seed,
-        "sampling": sampling, "drive": data.get("drive", ""), "figures": figures,
+        "sampling": sampling, "drive": data.get("drive", ""), "designs": data.get("designs", {}), "figures": figures,
         "varied": [_plain(one) for one in varied],
         "correlated": [_correlated(one, where) for one in data.get("correlated", [])],
         "experiments": {name: _experiment(name, one, path) for name, one in experiments.items()},
@@ -219,7 +221,7 @@ def _figures(data: Mapping[str, Any], path: Path) -> dict[str, dict[str, Any]]:
     for name, changes in designs.items():
         _require(changes, dict, f"designs.{name}", str(path))
         try:
-            found[name] = nominal(config, data.get("set", {}) | changes)
+            found[name] = nominal(config, data.get("set", {}) | {k: v for k, v in changes.items() if k != VARY})
         except ConfigError as error:
             raise BenchError(f"{'designs.' + name if data.get('designs') else 'set'} in {path}: {error}") from None
     return found
@@ -232,6 +234,18 @@ def config_of(data: Mapping[str, Any], path: Path) -> Path | None:
     if config is not None and not config.exists():
         raise BenchError(f"drive in {path} is '{given}': no file and no motor of that name (bench sim --motors)")
     return config
+
+
+def _read_vary(data: Mapping[str, Any], figures: Mapping[str, Any], where: str) -> Iterator[Varied]:
+    """The lines of [vary], and of those of designs, which stand in their place."""
+    own = {design: changes.get(VARY, {}) for design, changes in data.get("designs", {}).items()}
+    for key, given in data.get(VARY, {}).items():
+        others = tuple(design for design in own if key not in own[design])
+        yield replace(read_varied(key, given, figures, where), only=others if len(others) < len(own) else ())
+    for design, lines in own.items():
+        _require(lines, dict, f"designs.{design}.{VARY}", where)
+        for key, given in lines.items():
+            yield in_design(read_varied(key, given, figures, where), design)
 
 
 def _read_table(name: str, given: Any, figures: Mapping[str, Any], path: Path) -> Varied:
@@ -315,7 +329,7 @@ def _check_turn(made: dict[str, Any], what: str) -> None:
     made.setdefault("seconds", 1.0)
     made.setdefault("settle", 0.5 * made["seconds"])
     made.setdefault("control", "")
-    made.setdefault("observers", ["vector_tracking"])
+    made.setdefault("observers", [])
     numbers = [*speeds, made["load"], made["seconds"], made["settle"]]
     if not speeds or not all(isinstance(n, int | float) and math.isfinite(n) for n in numbers):
         raise BenchError(f"{what}: speed, load, seconds and settle must be finite numbers, got {numbers}")

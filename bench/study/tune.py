@@ -30,8 +30,17 @@ from bench.files import write
 from bench.rig.screen import Screen
 from bench.study.engine import Engine, Rate, open_engine
 from bench.study.experiments import MEASURED, VERDICT, WHY, course, limits_of, tests_of
-from bench.study.objectives import F64, LOST, YIELD, Interval, Objective, Parameter, read_objectives, read_parameter
-from bench.study.objectives import with_parameters
+from bench.study.objectives import (
+    F64,
+    LOST,
+    YIELD,
+    Interval,
+    Objective,
+    Parameter,
+    read_objectives,
+    read_parameter,
+    with_parameters,
+)
 from bench.study.run import WORK, check, fill
 from bench.study.schedule import Crashed
 from bench.study.search import Search, Trial, batch_of, front, middle
@@ -130,8 +139,8 @@ class Tuned:
     """The front; of one objective the best trial. Empty where none can be used."""
     best: Trial | None
     checked: dict[int, list[tuple[float, float, Interval, float]]] = field(default_factory=dict)
-    """By trial, for each objective: as it was, with the trial's parameters, difference, share of drives that are better;
-    all on other drives."""
+    """On other drives, by trial, for each objective: as it was, with the trial's parameters, difference, share of drives
+    that are better."""
 
 
 def _base(study: Study | None) -> Mapping[str, Any]:

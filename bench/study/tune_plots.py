@@ -31,11 +31,14 @@ def draw(tuned: Tuned, file: Path, most: int) -> None:
     values = np.array([one.objectives for one in able])
     parameters = plan.parameters[:most]
     pairs = [*combinations(range(len(plan.objectives)), 2)][:MOST_PAIRS]
-    panels = len(pairs) + len(plan.objectives) * (1 + len(parameters))
-    columns = min(3, max(2, len(pairs), 1 + len(parameters)))
-    rows = -(-panels // columns)
-    figure = Figure(figsize=(WIDTH, ROW_HEIGHT * 1.15 * rows), layout="constrained", facecolor="white")
-    axes = iter(figure.subplots(rows, columns, squeeze=False).flat)
+    columns = min(4, max(len(pairs), 1 + len(parameters)))
+    first = columns if pairs else 0
+    rows = -(-(first + len(plan.objectives) * (1 + len(parameters))) // columns)
+    figure = Figure(figsize=(WIDTH, ROW_HEIGHT * rows), layout="constrained", facecolor="white")
+    every = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for ax in every[len(pairs) : first]:
+        ax.set_visible(False)
+    axes = iter([*every[: len(pairs)], *every[first:]])
     for a, b in pairs:
         _front(plain_next(axes), tuned, values, a, b)
     numbers = np.array([one.number for one in able])

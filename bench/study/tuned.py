@@ -1,4 +1,4 @@
-"""What `bench tune` has found, written: tune.json, trials.csv, a picture, and configurations with the best parameters."""
+"""What `bench tune` has found, in files: tune.json, trials.csv, a picture, configurations with the best parameters."""
 
 from __future__ import annotations
 
@@ -70,7 +70,8 @@ def lines(tuned: Tuned) -> Iterator[str]:
         return
     if len(plan.objectives) > 1:
         checked = f", {len(tuned.checked)} of them checked" if len(tuned.checked) < len(tuned.points) else ""
-        yield f"{counted(len(tuned.points), 'point')} on the Pareto front{checked}; the middle one is trial {tuned.best.number}:"
+        points = counted(len(tuned.points), "point")
+        yield f"{points} on the Pareto front{checked}; the middle one is trial {tuned.best.number}:"
     for one in plan.parameters:
         value = tuned.best.values[one.key]
         end = "; at an end of its range: widen it" if one.at_end(value) else ""

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,16 @@ F64 = NDArray[np.float64]
 
 KINDS = {
     "normal": "[mean, standard deviation]", "uniform": "[lowest, highest]",
-    "triangular": "[lowest, likeliest, highest]", "choice": "a list of values",
+    "triangular": "[lowest, likeliest, highest]", "choice": "a list of values", "follows": '"KEY"',
 }  # fmt: skip
 """Distributions, and what is given of each."""
-OPTIONS = {"relative": bool, "together": bool, "within": list}
+OPTIONS: dict[str, Any] = {
+    "relative": bool, "together": bool, "within": list, "factor": (int, float), "sd": (int, float)
+}  # fmt: skip
+OF_FOLLOWERS = ("factor", "sd")
+AT = "@"
+"""Before the design, in the name of what is varied in one alone."""
+LEAST_SHARE = 1e-9  # of a distribution that must lie within its ends
 EDGE = 1e-12  # uniform numbers are no nearer to 0 and 1: a normal distribution has no end
 
 
@@ -37,7 +44,7 @@ class Varied:
     kind: str
     """Of `KINDS`, or `table`."""
     given: tuple[Any, ...]
-    """See `KINDS`; of a table its columns, each a tuple."""
+    """See `KINDS`; of a table its columns, each a tuple; of what follows names of inputs, and then factor and sd."""
     inputs: tuple[str, ...]
     """Names of what is varied: the key, or one for each number of a list, as hall.delta_deg_1."""
     base: tuple[float, ...]
@@ -47,16 +54,27 @@ class Varied:
     together: bool = False
     """Whether all numbers of a list are the same."""
     within: tuple[float, float] = (-math.inf, math.inf)
+    only: tuple[str, ...] = ()
+    """Designs in which it is varied; none: all."""
 
     @property
     def dimensions(self) -> int:
         """Uniform numbers that it takes."""
+        if self.kind == "follows":
+            return len(self.inputs) if self.given[-1] else 0
         return 1 if self.together or self.kind in ("choice", "table") else len(self.inputs)
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """What each of these stands for."""
+        if self.kind == "follows":
+            return tuple(f"error of {name}" for name in self.inputs[: self.dimensions])
+        return self.inputs if self.dimensions == len(self.inputs) else (self.key,)
 
     @property
     def continuous(self) -> bool:
         """Whether it may be correlated with others."""
-        return self.kind not in ("choice", "table") and not self.together
+        return self.kind not in ("choice", "table", "follows") and not self.together
 
     def of(self, uniform: F64) -> F64:
         """Values (n, inputs) for uniform numbers (n, dimensions); of a `choice` of lists their numbers, from 0."""
@@ -67,6 +85,14 @@ class Varied:
             values = range(len(self.given)) if self.lists else self.given
             return np.repeat(np.array(list(values), float)[index][:, None], len(self.inputs), 1) * self._scale
         return np.broadcast_to(self._quantiles(uniform), (len(uniform), len(self.inputs))) * self._scale
+
+    def after(self, followed: F64, uniform: F64) -> F64:
+        """Values (n, inputs) of what follows others, `followed` (n, inputs), with an error of its own."""
+        from scipy.special import ndtri
+
+        factor, sd = self.given[-2:]
+        found: F64 = factor * followed
+        return found + sd * ndtri(np.clip(uniform, EDGE, 1.0 - EDGE)) if sd else found
 
     @property
     def lists(self) -> bool:
@@ -81,18 +107,26 @@ class Varied:
     def _index(uniform: F64, n: int) -> NDArray[np.int64]:
         return np.minimum((uniform[:, 0] * n).astype(np.int64), n - 1)
 
-    def _quantiles(self, uniform: F64) -> F64:
+    @property
+    def _distribution(self) -> Any:
         from scipy import stats
 
         a, *more = self.given
         if self.kind == "normal":
-            distribution = stats.norm(a, more[0])
-        elif self.kind == "uniform":
-            distribution = stats.uniform(a, more[0] - a)
-        else:
-            distribution = stats.triang((more[0] - a) / (more[1] - a), a, more[1] - a)
-        lo, hi = distribution.cdf(self.within)
-        found: F64 = distribution.ppf(lo + np.clip(uniform, EDGE, 1.0 - EDGE) * (hi - lo))
+            return stats.norm(a, more[0])
+        if self.kind == "uniform":
+            return stats.uniform(a, more[0] - a)
+        return stats.triang((more[0] - a) / (more[1] - a), a, more[1] - a)
+
+    @property
+    def share(self) -> float:
+        """Of the distribution that lies `within`."""
+        lo, hi = self._distribution.cdf(self.within)
+        return float(hi - lo)
+
+    def _quantiles(self, uniform: F64) -> F64:
+        lo, hi = self._distribution.cdf(self.within)
+        found: F64 = self._distribution.ppf(lo + np.clip(uniform, EDGE, 1.0 - EDGE) * (hi - lo))
         return np.clip(found, *self.within)
 
     @property
@@ -100,11 +134,20 @@ class Varied:
         """For people."""
         if self.kind == "table":
             return f"a table of {len(self.given[0])} drives"
+        if self.kind == "follows":
+            factor, sd = self.given[-2:]
+            of = f"{factor:g} x " if factor != 1.0 else ""
+            error = f", with an error of {sd:g} (standard deviation)" if sd else ""
+            return f"{of}{self.given[0].rpartition('_1')[0] or self.given[0]}{error}" + self._where
         numbers = ", ".join(f"{one:g}" if isinstance(one, float | int) else str(one) for one in self.given)
         lo, hi = self.within
         within = f", within {lo:g} … {hi:g}" if (lo, hi) != (-math.inf, math.inf) else ""
         each = ", all of the list alike" if self.together else ", each by itself" if len(self.inputs) > 1 else ""
-        return f"{self.kind} {numbers}{' x nominal' if self.relative else ''}{within}{each}"
+        return f"{self.kind} {numbers}{' x nominal' if self.relative else ''}{within}{each}" + self._where
+
+    @property
+    def _where(self) -> str:
+        return f", in {', '.join(self.only)} only" if self.only else ""
 
 
 @dataclass(frozen=True)
@@ -117,6 +160,12 @@ class Variation:
     _root: F64 = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        followed = [(one, name) for one in self.varied if one.kind == "follows" for name in one.given[:-2]]
+        there = [name for one in self.varied if one.kind != "follows" and not one.lists for name in one.inputs]
+        for one, name in followed:
+            if name not in there:
+                hint = did_you_mean(name, there, f"there are {', '.join(there)}")
+                raise BenchError(f"{one.key} follows {name}, which is not varied: {hint}")
         places = dict(self._places())
         matrix = np.eye(self.dimensions)
         for pair, r in self.correlated:
@@ -140,10 +189,21 @@ class Variation:
                 yield from ((name, at + k) for k, name in enumerate(one.inputs))
             at += one.dimensions
 
+    @cached_property
+    def _begins(self) -> dict[str, int]:
+        """The first uniform number of each, by its key."""
+        ends = np.cumsum([one.dimensions for one in self.varied]).tolist()
+        return dict(zip((one.key for one in self.varied), [0, *ends], strict=False))
+
     @property
     def dimensions(self) -> int:
         """Uniform numbers that a drive takes."""
         return sum(one.dimensions for one in self.varied)
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """What each of the uniform numbers stands for."""
+        return tuple(name for one in self.varied for name in one.factors)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -156,27 +216,39 @@ class Variation:
             from scipy.special import ndtr, ndtri
 
             uniform = ndtr(ndtri(np.clip(uniform, EDGE, 1.0 - EDGE)) @ self._root.T)
-        at, found = 0, []
-        for one in self.varied:
-            found.append(one.of(uniform[:, at : at + one.dimensions]))
-            at += one.dimensions
-        return np.concatenate(found, 1) if found else np.empty((len(uniform), 0))
+        found = {name: np.empty(0) for name in self.inputs}
+        for one in sorted(self.varied, key=lambda one: one.kind == "follows"):
+            own = uniform[:, (at := self._begins[one.key]) : at + one.dimensions]
+            if one.kind == "follows":
+                values = one.after(np.stack([found[name] for name in one.given[:-2]], 1), own)
+            else:
+                values = one.of(own)
+            found |= dict(zip(one.inputs, values.T, strict=True))
+        return np.stack(list(found.values()), 1) if found else np.empty((len(uniform), 0))
 
-    def changes(self, values: Sequence[float], figures: Mapping[str, Any]) -> dict[str, Any]:
-        """What stands in the configuration `figures` for `values` (inputs,): by dotted key."""
+    def changes(self, values: Sequence[float], figures: Mapping[str, Any], design: str = "") -> dict[str, Any]:
+        """What stands in the configuration `figures` of a design for `values` (inputs,): by dotted key."""
         found: dict[str, Any] = {}
-        at = 0
-        for one in self.varied:
+        ends = np.cumsum([len(one.inputs) for one in self.varied]).tolist()
+        for one, at in zip(self.varied, [0, *ends], strict=False):
+            if one.only and design not in one.only:
+                continue
             if one.lists:
-                found[one.key] = list(one.given[round(values[at])])
+                found[one.key.partition(AT)[0]] = list(one.given[round(values[at])])
             for name, value in () if one.lists else zip(one.inputs, values[at:], strict=False):
-                dotted, k, there = leaf(figures, name)
+                dotted, k, there = leaf(figures, name.partition(AT)[0])
                 if k is None:
                     found[dotted] = whole(value) if isinstance(there, int) else value
                 else:
                     found.setdefault(dotted, list(there))[k] = value
-            at += len(one.inputs)
         return found
+
+
+def in_design(one: Varied, design: str) -> Varied:
+    """What is varied in one design alone."""
+    return replace(
+        one, key=f"{one.key}{AT}{design}", inputs=tuple(f"{name}{AT}{design}" for name in one.inputs), only=(design,)
+    )
 
 
 def whole(value: float) -> float | int:
@@ -232,11 +304,17 @@ def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) ->
             raise BenchError(f"{what} has an unknown '{option}': {hint}")
         if option in OPTIONS and not isinstance(value, OPTIONS[option]):
             raise BenchError(f"{what}: {option} must be {_form(OPTIONS[option])}, got {value!r}")
+    if unfit := sorted(
+        given.keys() & ({*OF_FOLLOWERS} - {"only"} if kind != "follows" else {*OPTIONS} - {*OF_FOLLOWERS})
+    ):
+        raise BenchError(f"{what}: {unfit[0]} does not go with {kind}")
     dotted, k, there = leaf(figures, key)
     base = [there[k]] if k is not None else list(there) if isinstance(there, list | tuple) else [there]
     inputs = [key] if len(base) == 1 else [f"{dotted}_{number}" for number in range(1, len(base) + 1)]
     if kinds == ["choice"] and isinstance(given["choice"], list) and isinstance((given["choice"] or [0])[0], list):
         inputs = [key]
+    if kind == "follows":
+        return _follower(key, given, tuple(inputs), base, figures, what)
     relative = bool(given.get("relative"))
     if relative and not all(base):
         raise BenchError(f"{what}: relative to a nominal value of 0 it would stay 0: leave out relative")
@@ -251,9 +329,24 @@ def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) ->
         key, kind, tuple(values), tuple(inputs), tuple(map(float, base)), relative, bool(given.get("together")),
         (within[0], within[1]),
     )  # fmt: skip
-    if kind != "choice" and not np.isfinite(made.of(np.full((1, made.dimensions), 0.5))).all():
+    if kind != "choice" and made.share < LEAST_SHARE:
         raise BenchError(f"{what}: nothing of the distribution lies within {list(within)}")
     return made
+
+
+def _follower(
+    key: str, given: Mapping[str, Any], inputs: tuple[str, ...], base: Sequence[float], figures: Mapping[str, Any],
+    what: str,
+) -> Varied:  # fmt: skip
+    other, factor, sd = given["follows"], float(given.get("factor", 1.0)), float(given.get("sd", 0.0))
+    dotted, k, there = leaf(figures, str(other))
+    n = len(there) if k is None and isinstance(there, list | tuple) else 1
+    if n != len(inputs):
+        raise BenchError(f"{what}: it is {len(inputs)} numbers, and {other} is {n}")
+    if not (math.isfinite(factor) and 0.0 <= sd < math.inf):
+        raise BenchError(f"{what}: factor must be a number and sd one from 0 on, got {factor:g} and {sd:g}")
+    names = [other] if n == 1 else [f"{dotted}_{number}" for number in range(1, n + 1)]
+    return Varied(key, "follows", (*names, factor, sd), inputs, tuple(map(float, base)))
 
 
 def _check_values(kind: str, values: Any, n: int, what: str) -> None:
@@ -280,5 +373,5 @@ def _numbers(values: Any, what: str, n: int, finite: bool = True) -> tuple[float
     return tuple(map(float, values))
 
 
-def _form(kind: type) -> str:
-    return {bool: "true or false", list: "[lowest, highest]"}[kind]
+def _form(kind: Any) -> str:
+    return {bool: "true or false", list: "a list"}.get(kind, "a number")

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.descriptor import sample_dtype
+from protocol.descriptor import Channel, sample_dtype
 from protocol.signals import DRIVE_CHANNELS, LOAD_CHANNELS, Flag, RawType, Signal, Status
 from protocol.streams import EDGE_RECORD
 from sim.drive import tick_record as record
@@ -31,7 +31,7 @@ class _Table(NamedTuple):
     columns: Cells  # record.Column
     dtype: np.dtype[np.void]  # of a raw sample
     whole: bool  # all of it is made
-    channels: tuple[Signal, ...]
+    channels: tuple[Channel | Signal, ...]
 
 
 class Sections:
@@ -78,7 +78,7 @@ class Sections:
         """Section, field and stride of a column, in words; KeyError if there is none."""
         return self._found[name]
 
-    def table(self, channels: tuple[Signal, ...], only: frozenset[str] | None) -> _Table:
+    def table(self, channels: tuple[Channel | Signal, ...], only: frozenset[str] | None) -> _Table:
         """How raw samples of these channels are made, of all or of some of them."""
         key = id(channels), only  # the table keeps them, so no others get this id
         if key not in self._tables:
@@ -135,7 +135,7 @@ class Recorded:
         ticks: NDArray[np.int64] = self.captured["tick"]
         return ticks
 
-    def raw(self, channels: tuple[Signal, ...], only: frozenset[str] | None = None) -> NDArray[np.void]:
+    def raw(self, channels: tuple[Channel | Signal, ...], only: frozenset[str] | None = None) -> NDArray[np.void]:
         """Raw samples of these channels of the drive, as on the wire, shape (n,).
 
         Zero where an observer did not run, and, if `only` some are wanted (names), in all others.

@@ -19,13 +19,27 @@ from protocol.signals import AngleSource
 from sim.config.params import BenchParams, ConfigError, Value, load_params
 from sim.drive.machine import SOURCES, Recorded, SimulatedBench
 
-__all__ = ["ENCODER", "OBSERVERS", "BenchParams", "ConfigError", "Course", "Driven", "Recorded", "measured_by", "nominal", "with_values"]
+__all__ = [
+    "ENCODER",
+    "OBSERVERS",
+    "BenchParams",
+    "ConfigError",
+    "Course",
+    "Driven",
+    "Recorded",
+    "measured_by",
+    "nominal",
+    "with_values",
+]
 
 F64 = NDArray[np.float64]
 
 OBSERVERS = {entry.name: source for source, entry in SOURCES.items()}
 """Observers of the firmware: their number in the parameter `observer` by name."""
 ENCODER = "encoder"
+CONTROL = "control"
+"""The angle that the control takes, among those that are measured."""
+ENCODER_ANGLE = "theta_enc"
 PIECE = 0.25  # s that are simulated at once: what they take of memory stays in the caches
 RPM = math.tau / 60.0
 OF_ERROR = ("mean", "std", "rms", "max")
@@ -86,8 +100,15 @@ class Driven:
             bench.set_param("observer", _source(course.control, params))
         self.watch: Callable[[Recorded], object] = lambda recorded: None
         """Gets all that is recorded, piece by piece."""
-        self._angles = {name: next(iter(SOURCES[OBSERVERS[name]].channels)) for name in course.observers}
+        control = int(bench.parameters["observer"])
+        self._angles = {CONTROL: ENCODER_ANGLE if control == AngleSource.ENCODER else _angle(control)}
+        self._angles |= {name: _angle(OBSERVERS[name]) for name in course.observers}
         bench.watch(frozenset(self._angles.values()))
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """Channels of the observers whose errors are measured."""
+        return frozenset(name for each in self._course.observers for name in SOURCES[OBSERVERS[each]].channels)
 
     def records(self) -> Iterator[tuple[Recorded, float, bool]]:
         """All that it does, piece by piece: the records, the speed that is asked for (r/min), and whether it counts.
@@ -121,23 +142,25 @@ class Driven:
     def measure(self) -> dict[str, float]:
         """Run the course; what was measured of it by name, nothing but `tripped` where the firmware has switched off.
 
-        Of each observer OBSERVER.mean, .std, .rms and .max of its error, actual less estimated angle, electrical
-        degrees; `speed.mean` and `speed.std`: less what was asked for, r/min; `current.rms` and `current.max`: size of
+        Of each observer, and of the one in `control`, OBSERVER.mean, .std, .rms and .max of its error, actual less
+        estimated angle, electrical degrees; `speed.mean` and `speed.std`: less what was asked for, r/min; `current.rms` and `current.max`: size of
         the current vector, A; `tripped`: 1 or 0.
         """
-        sums = {name: _Sums() for name in (*self._angles, "speed", "current")}
+        sums = {name: _Sums() for name in (*self._angles.values(), "speed", "current")}
         for recorded, speed, counts in self.records():
             if not counts:
                 continue
             theta = recorded["theta_true"]
-            for name, channel in self._angles.items():
-                sums[name].add(_wrapped(theta - recorded[channel]))
+            for channel in set(self._angles.values()):
+                sums[channel].add(_wrapped(theta - recorded[channel]))
             sums["speed"].add(recorded["omega_m"] / RPM - speed)
             sums["current"].add(np.hypot(recorded["i_alpha_true"], recorded["i_beta_true"]))
         if self.fault:
             return {"tripped": 1.0}
         found = {
-            f"{name}.{of}": math.degrees(value) for name in self._angles for of, value in sums[name].figures.items()
+            f"{name}.{of}": math.degrees(value)
+            for name, channel in self._angles.items()
+            for of, value in sums[channel].figures.items()
         }
         found |= {f"speed.{of}": sums["speed"].figures[of] for of in ("mean", "std")}
         found |= {f"current.{of}": sums["current"].figures[of] for of in ("rms", "max")}
@@ -146,7 +169,7 @@ class Driven:
 
 def measured_by(course: Course) -> dict[str, str]:
     """What `Driven.measure` measures in a course: units by name."""
-    errors = {f"{name}.{of}": "deg" for name in course.observers for of in OF_ERROR}
+    errors = {f"{name}.{of}": "deg" for name in (CONTROL, *course.observers) for of in OF_ERROR}
     return errors | {
         "speed.mean": "r/min", "speed.std": "r/min", "current.rms": "A", "current.max": "A", "tripped": ""
     }  # fmt: skip
@@ -174,6 +197,11 @@ class _Sums:
 def _wrapped(angle: F64) -> F64:
     """Nearest to zero."""
     return angle - math.tau * np.rint(angle * (1.0 / math.tau))
+
+
+def _angle(source: int) -> str:
+    """The channel of an observer's angle."""
+    return next(iter(SOURCES[source].channels))
 
 
 def _source(name: str, params: BenchParams) -> int:

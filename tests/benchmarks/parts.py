@@ -28,6 +28,7 @@ PARTS = {
     "can": "CAN: stream frames to numpy columns, and a run over slcan, recorded",
     "slcan": "slcan: its text, and reading a full CAN FD bus",
     "replay": "Replay and score of a recording",
+    "study": "Studies: a drive's row beside its bare simulation, workers, memory",
     "import": "Import of a million rows, and a check of a long recording",
     "accept": "Acceptance: the whole suite in virtual time, of whole processes",
     "kills": "Killed, stopped or told to end at a random moment",

@@ -124,7 +124,7 @@ def tune(beside: Beside, constants: Constants, names: Sequence[str], seconds: fl
 
 
 def prove(constants: Constants, values: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Rows: errors with these constants by those as they are, with their 95 % intervals, on drives that none was tuned on."""
+    """Rows: errors with these constants by those as they are, with 95 % intervals, on drives that were not tuned on."""
     rows = []
     for what, names, kind in (
         ("the four that it was tuned on, unkind, other seeds", DESIGNED_ON, False),

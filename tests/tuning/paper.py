@@ -1,4 +1,4 @@
-"""The paper's gains against the best that `bench tune` finds on unkind drives, by speed range, beside and in control."""
+"""The paper's gains against the best that `bench tune` finds on unkind drives, by speed, beside and in control."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ from bench.rig.screen import Screen
 from bench.study.tune import TuneOptions, tune
 from bench.study.tuned import as_json
 
-RANGES = {"100 r/min": "100", "500 r/min": "500", "2000 r/min": "2000", "steps 500, 1000, 500 r/min": "[500, 1000, 500]"}
+RANGES = {
+    "100 r/min": "100",
+    "500 r/min": "500",
+    "2000 r/min": "2000",
+    "steps 500, 1000, 500 r/min": "[500, 1000, 500]",
+}
 CONTROLS = {"beside": "encoder", "in control": "vector_tracking"}
 TOML = """
 drive = "bench24v"

@@ -1,0 +1,113 @@
+"""How near a study comes to the bare simulation, on one core and on two, and what memory it takes.
+
+`python -m tests.benchmarks study`. 1000 drives run 2 s of closed loop each, with two observers and their statistics.
+Simulation alone is `SimulatedBench.advance` of the same drives for the same time with the same observers running, and
+nothing else: no drive is made, nothing is looked at. Both take turns, in CPU time of one process.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+
+from bench.study.cluster import Cluster
+from bench.study.experiments import compute
+from bench.study.store import Store
+from bench.study.study import Study, read_study
+from bench.study.worker import identity
+from protocol.messages import DriveState, SetpointMode
+from sim.drive.machine import SimulatedBench
+from tests.benchmarks.table import Row, cost, speed
+
+STUDY = """
+samples = 1000
+[vary]
+"motor.R_s" = { normal = [1.0, 0.05], relative = true }
+"motor.psi_f" = { normal = [1.0, 0.03], relative = true }
+"hall.delta_deg" = { uniform = [-4, 4] }
+[experiments.turn]
+speed = [200, 1000]
+load = 0.1
+settle = 0.3
+control = "vector_tracking"
+observers = ["vector_tracking", "edge_kalman"]
+limits = { "edge_kalman.rms" = { hi = 1.0 } }
+"""
+RPM = 0.10471975511965977  # rad/s
+WORK = "bench.study.experiments:compute"
+SHARE = 0.6
+"""Of the simulation's speed, at least."""
+TWO = 1.9
+"""Times as fast with two workers, at least."""
+AT_ONCE = 50
+
+
+def alone(study: Study, rows: range) -> float:
+    """CPU time of the simulation of these drives, s."""
+    spent = 0.0
+    for row in rows:
+        bench = SimulatedBench(study.drive(row), study.noise(row))
+        bench.set_param("observer", 2)
+        bench.watch(frozenset({"theta_vt", "theta_ek"}))
+        for state in (DriveState.ARMED, DriveState.RUNNING):
+            bench.enter_state(state)
+            bench.load_enter_state(state)
+            bench.advance(1)
+        bench.load_setpoint(SetpointMode.TORQUE, 0.1)
+        for rpm in (200.0, 1000.0):
+            bench.setpoint(SetpointMode.SPEED, rpm * RPM)
+            begun = time.process_time()
+            for _ in range(4):  # a quarter of a second at once is quickest: what it records stays in the caches
+                bench.advance(4000)
+            spent += time.process_time() - begun
+    return spent
+
+
+def per_second(study: Study, workers: int, folder: Path) -> tuple[float, float]:
+    """Rows a second, stored, once batches have their size; and memory of client and workers at the end, MB."""
+    with Store(folder, study, identity()) as store, Cluster(workers, None, lambda text: None) as engine:
+        begun, first, n, memory = 0.0, 0, 0, 0.0
+        for done in engine.run(study.text, WORK, store.missing()):
+            store.add(done.result, done.worker)
+            n += len(done.rows)
+            if not begun and n >= AT_ONCE:  # kernels are loaded, and batches have their size
+                begun, first = time.perf_counter(), n
+            if n == len(study):
+                rate = (n - first) / (time.perf_counter() - begun)
+                family = [psutil.Process(), *psutil.Process().children(recursive=True)]
+                memory = sum(one.memory_info().rss for one in family) / 1e6
+    return rate, memory
+
+
+def rows(short: bool) -> Iterator[Row]:
+    """Shares and ratios; speeds for orientation."""
+    n = 100 if short else 1000
+    with tempfile.TemporaryDirectory(prefix="hallbench-") as made:
+        folder = Path(made)
+        (folder / "study.toml").write_text(STUDY)
+        study = read_study(folder / "study.toml", samples=n)
+        compute(study.text, range(3))
+        alone(study, range(3))
+        simulated = studied = 0.0
+        for begin in range(0, n, AT_ONCE):
+            some = range(begin, begin + AT_ONCE)
+            simulated += alone(study, some)
+            begun = time.process_time()
+            compute(study.text, some)
+            studied += time.process_time() - begun
+        yield cost("simulation alone, 2 s of a drive", 1e3 * simulated / n, "ms")
+        yield cost("a row of a study of it, CPU time", 1e3 * studied / n, "ms")
+        yield Row("share of the simulation's speed", simulated / studied, "x", SHARE)
+        if not short:
+            one, _ = per_second(study, 1, folder / "one.study")
+            two, memory = per_second(study, 2, folder / "two.study")
+            yield speed("rows with one worker", one, "1/s")
+            yield Row("two workers over one", two / one, "x", TWO)
+            more = read_study(folder / "study.toml", samples=3 * n)
+            _, grown = per_second(more, 2, folder / "more.study")
+            yield Row("memory of client, scheduler and two workers after 1000 rows", memory, "MB", at_most=True)
+            yield Row("after 3000 rows, by it", grown / memory, "x", 1.1, at_most=True)
