@@ -30,7 +30,8 @@ SENSES = {"minimise": 1.0, "maximise": -1.0}
 KINDS = {"range": "[lowest, highest]", "log": "[lowest, highest], both above 0", "choice": "a list of values"}
 NEAR = 0.02  # share of a range: so near to its end a parameter is at its end
 RESAMPLED = 2000  # times, for an interval
-FEWEST = 3  # drives, for an interval
+FEWEST = 8  # drives, for an interval, and of a quantile
+BEYOND = 10  # drives beyond it: with fewer what is resampled says too little of a tail
 
 
 @dataclass(frozen=True)
@@ -141,20 +142,19 @@ class Objective:
     def difference(self, before: F64, after: F64) -> Interval:
         """Of the objective of two designs on the same drives, after less before: by resampling the drives.
 
-        A largest value has no such interval.
+        A largest value has no such interval, and a quantile has one only where enough drives lie beyond it.
         """
         value = self.of_drives(after) - self.of_drives(before)
         n = len(before)
-        if self.over == MAX or n < FEWEST or math.isnan(value):
+        beyond = n * (100.0 - SHARES.get(self.over, 0.0)) / 100.0
+        if self.over == MAX or n < FEWEST or beyond < BEYOND * (self.over in SHARES) or math.isnan(value):
             return Interval(value, math.nan, math.nan)
         drawn = np.random.default_rng(0).integers(0, n, (RESAMPLED, n))
         found = self._figures(after[drawn]) - self._figures(before[drawn])
-        if self.over == MEAN:  # few drives: resampling makes its interval too narrow
-            from scipy import stats
+        from scipy import stats
 
-            half = float(stats.t.ppf(0.975, n - 1)) * float(found.std()) * math.sqrt(n / (n - 1))
-            return Interval(value, value - half, value + half)
-        lo, hi = np.quantile(found, [0.025, 0.975])
+        tail = float(stats.norm.cdf(-math.sqrt(n / (n - 1)) * stats.t.ppf(0.975, n - 1)))  # Hesterberg 2015
+        lo, hi = np.quantile(found, [tail, 1.0 - tail])
         return Interval(value, float(lo), float(hi))
 
     def _figures(self, values: F64) -> F64:

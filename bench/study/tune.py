@@ -1,4 +1,4 @@
-"""`bench tune` without the command line: parameters of a drive that make objectives of a study, or of recordings, small.
+"""`bench tune` without the command line: parameters of a drive that make figures of a study, or of recordings, small.
 
 A tune is a study in whose TOML stands besides
 
@@ -139,8 +139,8 @@ class Tuned:
     """The front; of one objective the best trial. Empty where none can be used."""
     best: Trial | None
     checked: dict[int, list[tuple[float, float, Interval, float]]] = field(default_factory=dict)
-    """On other drives, by trial, for each objective: as it was, with the trial's parameters, difference, share of drives
-    that are better."""
+    """On other drives, by trial, for each objective: as it was, with the trial's parameters, difference, share of
+    drives that are better."""
 
 
 def _base(study: Study | None) -> Mapping[str, Any]:

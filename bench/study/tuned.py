@@ -93,7 +93,7 @@ def _in_words(tuned: Tuned, trial: Trial, k: int, objective: Objective) -> str:
     kind = "recordings" if tuned.plan.study is None else "drives"
     words += f"on other {kind} {before:.4g} -> {after:.4g}{unit}, {change.value:+.3g}"
     if math.isnan(change.lo):
-        why = "a largest value has no interval" if objective.over == MAX else "too few for an interval"
+        why = "a largest value has no interval" if objective.over == MAX else "too few for an interval of it"
         return f"{words} ({why}), better in {share:.0%}"
     seen = "" if change.lo > 0.0 or change.hi < 0.0 else ": no difference seen"
     return f"{words} (95 %: {change.lo:+.3g} to {change.hi:+.3g}){seen}, better in {share:.0%}"
