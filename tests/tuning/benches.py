@@ -25,6 +25,11 @@ RANGES = {SLOW: (0.03, 0.06), MIDDLE: (0.15, 0.35), FAST: (0.6, 0.95)}
 LOADS = (0.0625, 1.0)  # of the largest current
 OFF = 0.2  # natural logarithm by which R_s_hat and L_s_hat are wrong, standard deviation; of psi_f_hat a fifth
 LOST = 90.0  # deg: an error counts as so much at the most
+UNKIND, KIND, PULSES = "unkind", "kind", "unkind, pulses on the Hall inputs"
+PULSED = {
+    "faults.begin": 0.5, "faults.hall.pulse_rate": [5.0] * 3, "faults.hall.pulse_min": 2e-5,
+    "faults.hall.pulse_max": 1e-3,
+}  # fmt: skip
 
 
 class Stretch(NamedTuple):
@@ -47,23 +52,34 @@ class Drive(NamedTuple):
     stretches: Sequence[Stretch]
     pwm_hz: float
 
+    def off(self, theta: np.ndarray, stretch: Stretch) -> np.ndarray:
+        """Size of the error of an estimate (n,) in a stretch, deg."""
+        part = slice(stretch.begin, stretch.end)
+        off = np.abs((np.degrees(self.theta[part] - theta[part]) + 180.0) % 360.0 - 180.0)
+        return np.minimum(np.nan_to_num(off, nan=LOST), LOST)
+
     def errors(self, theta: np.ndarray) -> Iterator[tuple[str, float]]:
         """Of an estimate (n,): by stretch its rms error, of steps the largest; deg."""
-        for kind, begin, end in self.stretches:
-            off = np.abs((np.degrees(self.theta[begin:end] - theta[begin:end]) + 180.0) % 360.0 - 180.0)
-            off = np.minimum(np.nan_to_num(off, nan=LOST), LOST)
-            yield kind, float(off.max() if kind == STEPS else np.sqrt(np.mean(off**2)))
+        for one in self.stretches:
+            off = self.off(theta, one)
+            yield one.kind, float(off.max() if one.kind == STEPS else np.sqrt(np.mean(off**2)))
+
+    def beyond(self, theta: np.ndarray, sigma: np.ndarray) -> float:
+        """Share of what is judged in which the error is beyond three times the deviation (n,) that is told, rad."""
+        each = [self.off(theta, one) > 3.0 * np.degrees(sigma[one.begin : one.end]) for one in self.stretches]
+        return float(np.concatenate(each).mean())
 
 
 class Recorder(Proving):
     """A proving bench that keeps what observers get."""
 
-    def __init__(self, name: str, seed: int, kind: bool = False) -> None:
+    def __init__(self, name: str, seed: int, kind: str = UNKIND) -> None:
         self.kept: list[tuple[np.ndarray, np.ndarray]] = []
         self.thetas: list[np.ndarray] = []
         self.stretches: list[Stretch] = []
         file = BENCH_24V if name == "bench24v" else motors()[name]
-        changes = {} if kind or name == "bench24v" else unkind(load_params(file))
+        changes = {} if kind == KIND or name == "bench24v" else unkind(load_params(file))
+        changes = changes | (PULSED if kind == PULSES else {})
         self.rng = np.random.default_rng(seed)
         off = np.exp(OFF * self.rng.standard_normal(3) * (1.0, 1.0, 0.2))
         factors = dict(zip(("R_s_hat", "L_s_hat", "psi_f_hat"), off, strict=True)) if seed % 2 else {}
@@ -87,7 +103,7 @@ class Recorder(Proving):
         self.stretches.append(Stretch(kind, begin, self.n))
 
 
-def recorded(name: str, seed: int, kind: bool = False) -> Recorder:
+def recorded(name: str, seed: int, kind: str = UNKIND) -> Recorder:
     """A bench with lessons, then speeds, loads and steps that its seed says."""
     bench = Recorder(name, seed, kind)
     bench.teach((speed, load, 0.6 * seconds) for speed, load, seconds in TAUGHT)
@@ -107,7 +123,7 @@ def recorded(name: str, seed: int, kind: bool = False) -> Recorder:
     return bench
 
 
-def drive(name: str, seed: int, kind: bool = False) -> Drive:
+def drive(name: str, seed: int, kind: str = UNKIND) -> Drive:
     """The same, for observers beside it."""
     bench = recorded(name, seed, kind)
     samples = np.concatenate([samples for samples, _ in bench.kept])
