@@ -11,11 +11,11 @@ from bench.study.tune import TuneOptions, tune
 from bench.study.tuned import as_json
 
 RANGES = {
-    "100 r/min": "100",
-    "500 r/min": "500",
-    "2000 r/min": "2000",
-    "steps 500, 1000, 500 r/min": "[500, 1000, 500]",
-}
+    "100 r/min": ("100", 1.2, 0.5), "500 r/min": ("500", 1.2, 0.5), "2000 r/min": ("2000", 1.2, 0.5),
+    "steps 500, 1000, 500 r/min": ("[500, 1000, 500]", 0.4, 0.05),
+    "100, 500 and 2000 r/min": ("[100, 500, 2000]", 0.7, 0.35),
+}  # fmt: skip
+"""Speeds, how long each (s), and how much of that is not measured."""
 CONTROLS = {"beside": "encoder", "in control": "vector_tracking"}
 TOML = """
 drive = "bench24v"
@@ -52,10 +52,9 @@ error = {{ of = "turn.vector_tracking.rms", over = "rms" }}
 """
 
 
-def toml(speed: str, control: str, trials: int, check: int) -> str:
+def toml(name: str, control: str, trials: int, check: int) -> str:
     """A tune of one range."""
-    steps = speed.startswith("[")
-    seconds, settle = (0.4, 0.05) if steps else (1.2, 0.5)
+    speed, seconds, settle = RANGES[name]
     return TOML.format(
         speed=speed, control=CONTROLS[control], trials=trials, check=check, seconds=seconds, settle=settle
     )
@@ -64,8 +63,8 @@ def toml(speed: str, control: str, trials: int, check: int) -> str:
 def rows(folder: Path, screen: Screen, clock: Any, trials: int = 150, check: int = 100) -> Iterator[dict[str, Any]]:
     """A row for each range and way of use, what `tune.json` says of it; computed where it is not there."""
     for control in CONTROLS:
-        for name, speed in RANGES.items():
+        for name in RANGES:
             file = folder / f"{control}-{name.split(',')[0]}.toml".replace(" ", "-").replace("/", "-")
-            file.write_text(toml(speed, control, trials, check))
+            file.write_text(toml(name, control, trials, check))
             tuned = tune(TuneOptions(file, workers=1), screen, clock)
             yield {"range": name, "use": control, **as_json(tuned)}
