@@ -25,7 +25,7 @@ def command(
     file: Path, out: Path | None, trials: int | None, workers: int | None, cluster: str | None,
     json_file: Path | None, overwrite: bool,
 ) -> None:  # fmt: skip
-    """Find parameters of loops and observers that make a study's figures good.
+    """Find parameters of loops and observers with which many drives do best.
 
     TUNE.toml is a study with a section [tune]: what may change within which range, what is to be small. Each trial runs
     the same drives with the same noise. What is found is measured again on other drives, beside what there was. Several

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from bench.study.objectives import F64, Objective
-    from bench.study.tune import Tuned
+    from bench.study.tune_file import Tuned
 
 HIGHEST = 90.0  # % of the trials that must be seen: a few bad ones are cut off
 AS_IT_WAS: dict[str, Any] = {"color": BLACK, "linewidth": 0.9, "linestyle": ":"}

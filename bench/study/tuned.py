@@ -14,10 +14,13 @@ import numpy as np
 import tomli_w
 
 from bench.files import finite, write
+from bench.study.experiments import write_drive
 from bench.study.objectives import MAX, Objective
 from bench.study.search import Trial
-from bench.study.tune import Tuned
+from bench.study.tune_file import Tuned
+from bench.study.tune_plots import draw
 from protocol.text import counted
+from sim.ports.direct import with_values
 
 HEAD = """# {name}: trial {number} of {trials} of bench tune, by {objectives}.
 # Only what was tuned; {whole}
@@ -110,14 +113,9 @@ def write_results(tuned: Tuned) -> None:
     if tuned.best is not None:
         chosen["best.toml"] = tuned.best
         if plan.study is not None:
-            from bench.study.experiments import write_drive
-            from sim.ports.direct import with_values
-
             write_drive(folder / "best-drive.toml", with_values(plan.figures(tuned.best.values), {}))
     for name, trial in chosen.items():
         _write(folder / name, _toml(tuned, trial))
-    from bench.study.tune_plots import draw
-
     draw(tuned, folder / "tune.png", MOST_PICTURED)
 
 

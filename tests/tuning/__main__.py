@@ -52,7 +52,7 @@ PROVED_ON = range(101, 111)
 KINDS = (*RANGES, STEPS)
 FLOOR = 0.05  # deg
 HONEST = 10.0
-MOST = 24  # constants that are tuned together
+MOST = 40  # constants that are tuned together
 TIMES = 1.4  # by which each is changed to see what it does
 FURTHEST = math.log(4.0)  # by which a constant may change
 SIGMA = 0.2  # of the search at its begin, natural logarithm
@@ -190,7 +190,7 @@ def main() -> None:
     """See the module."""
     parser = argparse.ArgumentParser(prog="python -m tests.tuning", description=__doc__)
     parser.add_argument("parts", nargs="*", metavar="PART", help="screen, tune, prove, paper")
-    parser.add_argument("--minutes", type=float, default=20.0, help="for the search")
+    parser.add_argument("--minutes", type=float, default=18.0, help="for the search")
     parser.add_argument("--most", type=int, default=MOST, help="constants that are tuned together")
     parser.add_argument("--folder", type=Path, help="where the tunes of the paper's gains are kept")
     parser.add_argument("--file", type=Path, default=FOUND)
@@ -216,6 +216,7 @@ def main() -> None:
             found[part] = tune(beside, constants, names, 60.0 * given.minutes)
         else:
             found[part] = prove(constants, found["tune"]["constants"])
+        found["as_they_are"] = constants.as_they_are
         given.file.write_text(json.dumps(found, indent=1) + "\n")
 
 

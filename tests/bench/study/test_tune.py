@@ -20,7 +20,7 @@ from bench.cli import cli
 from bench.errors import BenchError
 from bench.study.objectives import LOST, Objective, Parameter
 from bench.study.search import Search, Trial, front, middle
-from bench.study.tune import Found, read_tune
+from bench.study.tune_file import Found, read_tune
 from sim.ports.direct import Course, Driven, nominal, with_values
 
 DATA = Path(__file__).parents[2] / "data"
