@@ -23,7 +23,7 @@ from bench.study.search import Search, Trial, front, middle
 from bench.study.tune_file import Found, read_tune
 from sim.ports.direct import Course, Driven, nominal, with_values
 
-DATA = Path(__file__).parents[2] / "data"
+DATA, DOCS = (Path(__file__).parents[k] / name for k, name in ((2, "data"), (3, "docs")))
 K_P, I_TRIP = "firmware.vector_tracking.k_p_vt", "firmware.protection.i_trip"
 KEYS = Parameter("a", "log", (1.0, 10_000.0), False, 10.0), Parameter("b", "range", (-1.0, 1.0), False, 0.9)
 BEST = MappingProxyType({"a": 300.0, "b": -0.2})
@@ -251,6 +251,15 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
 def test_what_cannot_be_tuned_is_refused_by_name(tmp_path: Path, old: str, new: str, words: str) -> None:
     with pytest.raises(BenchError, match=words):
         read_tune(written(tmp_path, (old, new)))
+
+
+def test_the_page_and_the_shipped_example_can_be_read(tmp_path: Path) -> None:
+    page = (DOCS / "tune.md").read_text()
+    (tmp_path / "gains.toml").write_text(page.partition("```toml\n")[2].partition("```")[0])
+    for file in (tmp_path / "gains.toml", DOCS / "studies" / "vector-tracking.toml"):
+        plan = read_tune(file)
+        assert plan.parameters
+        assert plan.study is not None
 
 
 def tuned(*arguments: object) -> Result:
