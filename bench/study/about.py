@@ -20,12 +20,12 @@ SAMPLING = {
 }  # fmt: skip
 
 
-def about(study: Study, folder: Path) -> About:
-    """Of a study whose rows are in a folder."""
+def about(study: Study, folder: Path, there: Path | None = None) -> About:
+    """Of a study whose rows are in a folder; `there`: where that is at present, if it will be elsewhere."""
     sampling = study.plan["sampling"]
     return About(
         title=study.name,
-        facts=tuple(_facts(study, folder)),
+        facts=tuple(_facts(study, there or folder)),
         sampling=SAMPLING[sampling],
         sample_count=study.samples,
         replay=lambda row: f"bench study replay {shlex.quote(str(folder))} {row}",

@@ -13,11 +13,13 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from contextlib import ExitStack, closing, contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
@@ -27,14 +29,15 @@ from bench.errors import BenchError
 from bench.study.schedule import Crashed, Done, Schedule
 from bench.study.worker import Computed, Worker, compute, identity, introduce, token_of, told
 from bench.system import APART
+from sim.interrupts import Held
 
 CONNECT = 10.0  # s for a scheduler to answer
 JOIN = 30.0  # s for a worker to join, or to come back
 STRANGERS = 3.0  # s for a worker that fits to join where others do not
 BUSY = 120.0  # s for a worker to answer for the first time: others may use it, or its disk is slow
-LOOK = 0.25  # s between two looks at who is there
+LOOK = 0.5  # s between two looks at who is there
 CLOSE = 1.0  # s
-RESTARTS = 3  # schedulers of a local cluster that may die
+RESTARTS = 3  # schedulers of a local cluster that may die before another row comes
 HOPELESS = 10  # rows that may crash their workers while fewer have come back
 HELLO = 0  # in place of a batch's number
 KEPT = "what is done is kept: the same command again goes on from there"
@@ -49,28 +52,77 @@ class Came(NamedTuple):
 
 
 class Here(NamedTuple):
-    """The workers that there are now, with their threads; `why` where the scheduler does not answer."""
+    """The workers that there are now, with their threads; None where the scheduler does not answer."""
 
-    workers: dict[str, int]
-    why: str = ""
+    workers: dict[str, int] | None
 
 
 class SchedulerLost(Exception):
     """The cluster's scheduler has ended, or cannot be reached."""
 
 
+class Connection:
+    """A client of dask in a thread of its own, where no signal interrupts it."""
+
+    def __init__(self, address: str) -> None:
+        self.client: Any = None
+        self.loop: asyncio.AbstractEventLoop | None = None
+        self._task: asyncio.Task[Any] | None = None
+        self._answer = SimpleQueue[Exception | None]()
+        self._thread = threading.Thread(target=self._run, args=(address,), daemon=True)
+        self._thread.start()
+
+    def answer(self) -> None:
+        """Wait for the scheduler's answer; raises what dask does where there is none."""
+        if error := self._answer.get():
+            raise error
+
+    def close(self) -> None:
+        """End it."""
+        if self.loop and self._task:
+            with suppress(RuntimeError):  # it has ended
+                self.loop.call_soon_threadsafe(self._task.cancel)
+            self._thread.join(CLOSE)
+
+    def _run(self, address: str) -> None:
+        with suppress(asyncio.CancelledError):
+            asyncio.run(self._live(address))
+
+    async def _live(self, address: str) -> None:
+        self._task, self.loop = asyncio.current_task(), asyncio.get_running_loop()
+        self.loop.set_exception_handler(lambda *_: None)  # it tells of calls that were given up
+        try:
+            self.client = import_module("distributed").Client(
+                address, timeout=CONNECT, asynchronous=True, set_as_default=False
+            )
+            await self.client
+            self._answer.put(None)
+            await asyncio.Event().wait()
+        except Exception as error:
+            self._answer.put(error)
+        finally:
+            if self.client:
+                with suppress(Exception):
+                    await self.client.close(timeout=CLOSE)
+
+
 class Calls:
     """Calls at workers, by one client of dask. What comes of them, and who is there, is put into `events`."""
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, connection: Connection) -> None:
         self.events = SimpleQueue[Came | Here]()
-        self._client = client
+        self._client, self._loop = connection.client, connection.loop
         self._running: dict[str, dict[int, Future[None]]] = {}
         self._watching = self._start(self._watch())
 
     def send(self, worker: str, number: int, function: Callable[..., object], *arguments: object) -> None:
         """Call a function there; `number` says which call it was."""
         self._running.setdefault(worker, {})[number] = self._start(self._call(worker, number, function, arguments))
+
+    def look(self) -> None:
+        """Raise SchedulerLost where nobody watches the workers any more."""
+        if self._watching.done():
+            raise SchedulerLost
 
     def ended(self, came: Came) -> None:
         """A call's event was taken from the queue."""
@@ -88,7 +140,8 @@ class Calls:
             self.forget(worker)
 
     def _start(self, call: Any) -> Future[None]:
-        return asyncio.run_coroutine_threadsafe(call, self._client.loop.asyncio_loop)
+        assert self._loop
+        return asyncio.run_coroutine_threadsafe(call, self._loop)
 
     async def _call(self, worker: str, number: int, function: Callable[..., object], arguments: Any) -> None:
         place = {"workers": [worker], "allow_other_workers": False, "pure": False, "key": f"study-{uuid4().hex}"}
@@ -105,8 +158,8 @@ class Calls:
                 if self._client.status != "running":
                     raise OSError("the connection is closed")
                 now = dict(await asyncio.wait_for(self._client.scheduler.ncores(), JOIN))
-            except Exception as error:
-                self.events.put(Here({}, told(error)))
+            except Exception:
+                self.events.put(Here(None))
                 return
             if now != before:
                 self.events.put(Here(now))
@@ -127,18 +180,23 @@ class Cluster:
         self.address, self.note = address, note
         self._workers = workers
         self._open = ExitStack()
-        self._client: Any = None
+        self._connection: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        self._calls: Calls | None = None
 
     def __enter__(self) -> Cluster:
-        with ExitStack() as opened:
-            opened.enter_context(_quiet())
-            self._client = self._connect(opened)
-            self._open = opened.pop_all()
+        try:
+            self._begin()
+        except SchedulerLost as error:
+            raise BenchError(self._gone(error)) from None
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._open.close()
+        self._connection = self._process = None
+        with Held():  # whoever presses Ctrl-C twice leaves nothing either
+            if self._calls:
+                self._calls.close()
+            self._open.close()
 
     def run(self, plan: bytes, work: str, rows: Iterable[int]) -> Iterator[Done | Crashed]:
         """Rows through `work`, module:function, as they come. BenchError where that fails, or nobody is left to do it.
@@ -146,39 +204,53 @@ class Cluster:
         Ended early it leaves the batches that workers have at work to them; what they make is dropped.
         """
         schedule = Schedule(rows)
-        for restarts in range(RESTARTS + 1):
-            with closing(Calls(self._client)) as calls:
-                try:
-                    yield from Crew(self, calls, schedule, plan, work).run()
-                    return
-                except SchedulerLost as error:
-                    if self.address:
-                        words = f"the dask scheduler {self.address} is gone ({error})"
-                        raise BenchError(f"{words}; {KEPT}, when a scheduler is there") from None
+        restarts = 0
+        while True:
+            try:
+                connection = self._connection or self._begin()
+                with closing(Calls(connection)) as calls:
+                    self._calls = calls
+                    for came in Crew(self, calls, schedule, plan, work).run():
+                        restarts = 0
+                        yield came
+                return
+            except SchedulerLost as error:
+                restarts += 1
+                if self.address or restarts > RESTARTS:
+                    raise BenchError(f"{self._gone(error)}; {KEPT}") from None
+                self.note(f"{self._gone(error)}: a new one is started")
             schedule.lost()
-            self.note("the scheduler of the workers has died: new ones are started")
             self.__exit__()
-            if restarts < RESTARTS:
-                self.__enter__()
-        raise BenchError(f"the scheduler of the workers has died {RESTARTS + 1} times; {KEPT}")
+
+    def _gone(self, error: SchedulerLost) -> str:
+        why = f" ({error})" if str(error) else ""
+        return f"the dask scheduler {self.address or 'of this machine'} is gone{why}"
+
+    def _begin(self) -> Connection:
+        with ExitStack() as opened:
+            opened.enter_context(_quiet())
+            connection = self._connection = self._connect(opened)
+            self._open = opened.pop_all()
+        return connection
 
     def look(self) -> None:
         """Raise SchedulerLost where this machine's scheduler has ended."""
         if self._process and self._process.poll() is not None:
-            raise SchedulerLost("it has ended")
+            raise SchedulerLost
 
-    def _connect(self, opened: ExitStack) -> Any:
-        from distributed import Client
-
+    def _connect(self, opened: ExitStack) -> Connection:
         address = self.address or self._start(opened)
+        connection = Connection(address)
+        opened.callback(connection.close)
         try:
-            client = Client(address, timeout=CONNECT, set_as_default=False)
-        except (OSError, ValueError, ImportError, RuntimeError) as error:
+            connection.answer()
+        except Exception as error:
+            if not self.address:
+                raise SchedulerLost(told(error)) from None
             words = f"no dask scheduler answers at {address} ({told(error)})"
             advice = "start one there with `dask scheduler`, or leave --cluster out for the cores of this machine"
             raise BenchError(f"{words}: {advice}") from None
-        opened.callback(_close, client)
-        return client
+        return connection
 
     def _start(self, opened: ExitStack) -> str:
         """A scheduler and workers on this machine, in a session of their own, which Ctrl-C at a terminal spares."""
@@ -189,7 +261,7 @@ class Cluster:
             process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "bench.study.local", str(self._workers or CPU_COUNT), folder],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "DASK_LOGGING__DISTRIBUTED": "error"},
                 start_new_session=True, creationflags=APART,
             )  # fmt: skip
         opened.callback(_end, process)
@@ -198,7 +270,7 @@ class Cluster:
         if address := process.stdout.readline().decode().strip():
             return address
         lines = Path(folder, "log").read_text(errors="replace").strip().splitlines() or ["it has ended"]
-        raise BenchError(f"the workers of this machine cannot be started: {lines[-1]}; --workers 1 does without")
+        raise SchedulerLost(lines[-1])
 
 
 class Crew:
@@ -222,6 +294,7 @@ class Crew:
                 event = self._calls.events.get(timeout=LOOK)
             except Empty:
                 self._cluster.look()
+                self._calls.look()
                 self._require()
                 continue
             if isinstance(event, Here):
@@ -231,8 +304,8 @@ class Crew:
                 yield from self._took(event)
 
     def _look(self, now: Here) -> Iterator[Crashed]:
-        if now.why:
-            raise SchedulerLost(now.why)
+        if now.workers is None:
+            raise SchedulerLost
         for worker in [*(self._here.keys() - now.workers)]:
             if name := self._names.get(worker):
                 self._cluster.note(f"the worker {name} has gone: what it was computing is computed again")
@@ -260,6 +333,8 @@ class Crew:
     def _took(self, came: Came) -> Iterator[Done | Crashed]:
         worker, number, value = came
         name = self._names.get(worker, worker)
+        if isinstance(value, (OSError, CancelledError)):
+            raise SchedulerLost
         if number == HELLO:
             self._met(worker, value)
         elif isinstance(value, Computed) and not value.why:
@@ -275,11 +350,10 @@ class Crew:
             self._here[worker] = threads
             self._greet(worker)
         else:
-            self._cluster.look()
             assert isinstance(value, BaseException)
             raise BenchError(f"the cluster has failed at the worker {name}: {told(value)}; {KEPT}")
 
-    def _rest(self) -> Iterator[Done]:
+    def _rest(self) -> Iterator[Done | Crashed]:
         """What has come by now."""
         with suppress(Empty):
             while True:
@@ -335,16 +409,10 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     process.communicate()
 
 
-def _close(client: Any) -> None:
-    with suppress(Exception):
-        client.close(timeout=CLOSE)
-
-
 @contextmanager
 def _quiet() -> Iterator[None]:
     """What dask logs and warns of on the way is not for a user's eyes: `note` says it."""
-    import distributed  # noqa: F401  it sets its loggers up
-
+    import_module("distributed")  # it sets its loggers up
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado.application")]
     before = [logger.level for logger in loggers]
     for logger in loggers:

@@ -79,7 +79,8 @@ def check(study: Study) -> None:
             try:
                 Driven(with_values(study.figures[design], {}), 0, course(experiment))
             except ConfigError as error:
-                raise BenchError(f"experiments.{experiment.name}, design {design}: {error}") from None
+                where = f"experiments.{experiment.name}" + (f", design {design}" if design else "")
+                raise BenchError(f"{where}: {error}") from None
         if experiment.kind == ACCEPT and not tests:
             raise BenchError(
                 f"experiments.{experiment.name}: no acceptance test matches '{experiment.given['accept']}'"

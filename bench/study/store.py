@@ -26,6 +26,7 @@ from bench.study.sampling import RANDOM, SOBOL
 from bench.study.study import Study
 
 STUDY, MADE_BY = "study.json", "made_by.json"
+OURS = (STUDY, MADE_BY, "report.html")
 FOLDER = ".study"
 """How names of studies end, by custom."""
 FILES = "rows-*.parquet"
@@ -53,8 +54,8 @@ class Store:
                 raise BenchError(f"{folder} is being written by another bench study") from None
             except OSError as error:
                 raise BenchError(f"{folder} cannot be written: {error.strerror}") from None
-            if overwrite:
-                for file in [*folder.glob(FILES), folder / STUDY, folder / MADE_BY]:
+            if overwrite and (folder / STUDY).exists():
+                for file in [*folder.glob(FILES), *folder.glob(".*.part"), *(folder / name for name in OURS)]:
                     file.unlink(missing_ok=True)
             self._begin(study)
             self.done = _numbers(folder, len(study))

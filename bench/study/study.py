@@ -40,7 +40,7 @@ TOP: dict[str, Any] = {
 VARY = "vary"
 MOST = 10**9
 """Rows, at most."""
-AS_CONFIGURED = "as configured"
+AS_CONFIGURED = ""
 """The design of a study that names none."""
 TURN, ACCEPT, FUNCTION = "speed", "accept", "function"
 """Kinds of experiments, by the key that each must have."""

@@ -84,7 +84,9 @@ def _mathematics() -> str:
     x = np.linspace(0.01, 9.99, 997)
     found = [np.array([f(v) for v in x]) for f in (math.sin, math.cos, math.exp, math.log, math.atan)]
     found += [f(x) for f in (np.sin, np.cos, np.exp, np.log, np.arctan, np.tanh, np.cbrt)]
-    return hashlib.sha256(np.concatenate([*found, np.arctan2(x, x[::-1]), np.hypot(x, x[::-1])])).hexdigest()[:12]
+    return hashlib.sha256(np.concatenate([*found, np.arctan2(x, x[::-1]), np.hypot(x, x[::-1])]).tobytes()).hexdigest()[
+        :12
+    ]
 
 
 def token_of(plan: bytes, work: str) -> str:

@@ -158,7 +158,7 @@ def test_a_test_in_two_experiments_is_refused(tmp_path: Path) -> None:
 
 def test_an_encoder_that_is_not_there_controls_nothing(tmp_path: Path) -> None:
     text = '[experiments.a]\nspeed = 500\ncontrol = "encoder"\n[set]\n"encoder.present" = 0\n"firmware.observer" = 2\n'
-    with pytest.raises(BenchError, match=r"experiments.a, design as configured: .*encoder.present = 0"):
+    with pytest.raises(BenchError, match=r"experiments.a: .*encoder.present = 0"):
         check(read_study(written(tmp_path, text)))
 
 
