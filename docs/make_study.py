@@ -2,8 +2,8 @@
 
 python docs/make_study.py [--page] [--workers N]
 
-The page's words are in docs/studies/study.md.j2, its numbers in docs/studies/hall-placement.json. With --page nothing is
-run. On one core it takes some three minutes.
+The page's words are in docs/studies/study.md.j2, its numbers in docs/studies/hall-placement.json. With --page nothing
+is run. On one core it takes some three minutes.
 """
 
 from __future__ import annotations

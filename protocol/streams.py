@@ -553,7 +553,9 @@ def unpack_edges(
     """Return wire records (EDGE_RECORD) as a chunk, with their whole ticks and indices."""
     codes = records["codes"]
     illegal = (codes & EDGE_ILLEGAL) != 0
-    return EdgeChunk(config, tick, codes & _CODE, codes >> _NEXT & _CODE, illegal, records["encoder"].copy(), index, gaps)
+    return EdgeChunk(
+        config, tick, codes & _CODE, codes >> _NEXT & _CODE, illegal, records["encoder"].copy(), index, gaps
+    )
 
 
 def _progressions(starts: Sequence[tuple[int, int]], step: int) -> I64:

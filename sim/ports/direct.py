@@ -143,8 +143,8 @@ class Driven:
         """Run the course; what was measured of it by name, nothing but `tripped` where the firmware has switched off.
 
         Of each observer, and of the one in `control`, OBSERVER.mean, .std, .rms and .max of its error, actual less
-        estimated angle, electrical degrees; `speed.mean` and `speed.std`: less what was asked for, r/min; `current.rms` and `current.max`: size of
-        the current vector, A; `tripped`: 1 or 0.
+        estimated angle, electrical degrees; `speed.mean` and `speed.std`: less what was asked for, r/min; `current.rms`
+        and `current.max`: size of the current vector, A; `tripped`: 1 or 0.
         """
         sums = {name: _Sums() for name in (*self._angles.values(), "speed", "current")}
         for recorded, speed, counts in self.records():
