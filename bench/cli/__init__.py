@@ -34,6 +34,7 @@ _COMMANDS = {
     "hall": "Check the Hall sensors; learn their edge angles; read other tools' tables.",
     "replay": "Run observers on a recording, beside the drive's own.",
     "study": "Run many simulated drives through the same tests: yield, causes.",
+    "tune": "Tune parameters of loops and observers on many drives or on recordings.",
     "score": "Rank position observers on recordings by error, lag and cost.",
     "motor": "Describe a motor to the simulated drive: VESC, ODrive, moteus, a data sheet.",
     "sim": "Run the simulated drive on a pty, a TCP port or a CAN bus.",

@@ -88,7 +88,7 @@ def replay_command(
 ) -> None:
     """Compute a row again, and compare it with the study's, bit for bit.
 
-    Exit code 1 if a figure differs.
+    Exit code 1 if a value differs.
     """
     check_files({"--json": json_file, "--drive": drive}, overwrite)
     if save is not None and save.exists():

@@ -7,15 +7,17 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from bench.files import finite
 from bench.study.capability import Capability, capability
-from bench.study.drives import Drives
+from bench.study.drives import ALL, Drives
 from bench.study.pairs import ValuePair, YieldPair, value_pairs, yield_pairs
 from bench.study.rows import Rows
-from bench.study.sensitivity import Sensitivity, sensitivities, varied
+from bench.study.sensitivity import Sensitivity, sensitivities
 from bench.study.statistics import Estimate, figure, percent, span
 from bench.study.worst import Worst, worst
-from bench.study.yields import ALL, Yield, yields
+from bench.study.yields import Yield, yields
 from protocol.text import counted
 
 
@@ -61,24 +63,29 @@ class Answers:
 def answer(rows: Rows, about: About) -> Answers:
     """Compute them."""
     designs = drives_of(rows, about)
-    names = sorted(rows.measured, key=lambda name: name not in rows.limits)
-    found = [each for name in names for drives in designs if (each := capability(drives, name)) is not None]
+    every = sorted(rows.measured, key=lambda name: name not in rows.limits)
+    found = [each for name in every for drives in designs if (each := capability(drives, name)) is not None]
     room: dict[str, tuple[bool, float, float]] = {}
     for each in found:
         room[each.name] = min(room.get(each.name, (True, math.inf, math.inf)), _room(each))
     found.sort(key=lambda each: room[each.name])
-    first, others = designs[:1], designs[1:]
-    told, left = varied(designs[0].inputs) if designs else ([], [])
+    names = list(room)
+    names.sort(key=lambda name: room[name])
+    tests = [ALL, *rows.verdicts]
+    pairs = [(designs[0], other) for other in designs[1:]]
+    inputs = [name for drives in designs for name in drives.inputs.told]
+    left = [note for drives in designs for note in drives.inputs.notes]
+    full = [Drives(rows, drives.design) for drives in designs]
     return Answers(
-        len(set(rows.sample.tolist())),
+        len(np.unique(rows.sample)),
         yields(designs),
         found,
-        [each for drives in designs for each in sensitivities(drives, _once(found), told, about.saltelli)],
-        about.saltelli or tuple(told),
-        sorted((one for of in designs for one in worst(Drives(rows, of.design), told, about.replay)), key=_badness),
-        sorted((pair for a in first for b in others for pair in yield_pairs(a, b)), key=lambda pair: pair.test != ALL),
-        [pair for a in first for b in others for pair in value_pairs(a, b, _once(found))],
-        tuple(_notes(rows, about, left, designs)),
+        [each for drives in designs for each in sensitivities(drives, names, about.saltelli)],
+        about.saltelli or tuple(dict.fromkeys(inputs)),
+        sorted((each for drives in full for each in worst(drives, about.replay)), key=_badness),
+        sorted((one for pair in pairs for one in yield_pairs(*pair)), key=lambda one: tests.index(one.test)),
+        sorted((one for pair in pairs for one in value_pairs(*pair, names)), key=lambda one: names.index(one.name)),
+        tuple(_notes(rows, about, list(dict.fromkeys(left)), designs)),
     )
 
 
@@ -104,7 +111,7 @@ def _badness(found: Worst) -> tuple[bool, float]:
 
 
 def _notes(rows: Rows, about: About, left: list[str], designs: list[Drives]) -> list[str]:
-    there, repetitions = len(set(rows.sample.tolist())), int(rows.repetition.max(initial=0)) + 1
+    there, repetitions = len(np.unique(rows.sample)), int(rows.repetition.max(initial=0)) + 1
     notes = []
     if there < about.sample_count:
         notes.append(f"{there} of {about.sample_count} drives are there: the rest was not run yet, or is lost.")

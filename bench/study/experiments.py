@@ -158,16 +158,17 @@ def _limits_of(text: bytes, name: str) -> dict[str, Limits]:
     if experiment.kind == ACCEPT:
         return _declared(experiment, study)
     units = measured_by(course(experiment)) if experiment.kind == TURN else {}
-    limits = {key: _limits(key, given, units.get(key, "")) for key, given in experiment.limits.items()}
+    limits = {key: Limits(key, unit) for key, unit in units.items()}
+    limits |= {key: _limits(key, given, units.get(key, "")) for key, given in experiment.limits.items()}
     if experiment.kind == TURN:
         if unknown := sorted(limits.keys() - units.keys()):
             raise BenchError(f"experiments.{name} measures no {unknown[0]}; it measures {', '.join(units)}")
-        limits.setdefault("tripped", TRIPPED)
+        limits["tripped"] = TRIPPED
     return {f"{name}.{key}": one for key, one in limits.items()}
 
 
 def limits_of(study: Study, experiment: Experiment) -> dict[str, Limits]:
-    """Limits by TEST.MEASUREMENT, on the nominal drive of the first design."""
+    """Limits by TEST.MEASUREMENT on the nominal drive of the first design; of a course units of all it measures."""
     return _limits_of(study.text, experiment.name)
 
 

@@ -13,7 +13,6 @@ from bench.signal.limits import Limits
 from bench.study.drives import Drives
 from bench.study.rows import F64
 from bench.study.statistics import Estimate, Z, figure, mean, not_normal, percent, plus_minus, share, span, varies
-from bench.study.yields import ALL
 
 SURE = 0.05
 LEAST = 6  # pairs, below which signs and ranks cannot be sure of anything
@@ -34,7 +33,6 @@ class YieldPair:
     """Of so unequal a number by chance: McNemar's exact test."""
     difference: Estimate
     """Yield of `b` less that of `a`: D. G. Bonett, R. M. Price, J. Educ. Behav. Stat. 37 (2012), 479."""
-
     verdict: str
     """In words."""
 
@@ -57,30 +55,20 @@ class ValuePair:
     """sd in `b` over sd in `a` (E. J. G. Pitman, Biometrika 31 (1939), 9); None where values are plainly not normal."""
     better: Estimate | None
     """Share of drives further within the limits in `b`, of those that differ; None without limits."""
-
     verdict: str
     """In words."""
 
 
 def yield_pairs(a: Drives, b: Drives) -> list[YieldPair]:
-    """By test that both designs have, all of these last."""
-    tests = [test for test in a.rows.verdicts if a.tried(test) and b.tried(test)]
+    """By test that both designs have, all of these first."""
+    tests = [test for test in a.tests if test in b.tests]
     at_a, at_b = _same(a, b)
-    outcomes = []
-    for test in tests:
-        (pass_a, fail_a), (pass_b, fail_b) = a.outcome(test), b.outcome(test)
-        outcomes.append((test, (pass_a[at_a], fail_a[at_a], pass_b[at_b], fail_b[at_b])))
-    if len(tests) > 1:
-        pass_a, fail_a, pass_b, fail_b = (
-            np.array(column) for column in zip(*(four for _, four in outcomes), strict=True)
-        )
-        outcomes.append((ALL, (pass_a.all(axis=0), fail_a.any(axis=0), pass_b.all(axis=0), fail_b.any(axis=0))))
-    found = []
-    for test, (pass_a, fail_a, pass_b, fail_b) in outcomes:
+    in_b, found = b.outcomes(tests), []
+    for test, in_a in a.outcomes(tests).items():
+        (pass_a, fail_a), (pass_b, fail_b) = (each[at_a] for each in in_a), (each[at_b] for each in in_b[test])
         n = int(((pass_a | fail_a) & (pass_b | fail_b)).sum())
-        only_a, only_b = int((pass_a & fail_b).sum()), int((fail_a & pass_b).sum())
         if n:
-            found.append(_yield_pair(test, a, b, n, only_a, only_b))
+            found.append(_yield_pair(test, a, b, n, int((pass_a & fail_b).sum()), int((fail_a & pass_b).sum())))
     return found
 
 
@@ -89,9 +77,10 @@ def _yield_pair(test: str, a: Drives, b: Drives, n: int, only_a: int, only_b: in
     p = float(stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
     found = yield_difference(only_a, only_b, n)
     size = Estimate(abs(found.value), *sorted((abs(found.lo), abs(found.hi))))
-    words = f"{'more' if found.value > 0 else 'fewer'} drives pass in {names[1]} than in {names[0]}"
-    seen = f"{percent(size.value)} {words} ({span(size, share=True)})"
-    none = f"no difference of yields seen (it is less than {percent(max(-found.lo, found.hi))})"
+    points, least = (percent(value).replace("%", "points") for value in (size.value, max(-found.lo, found.hi)))
+    words = f"{'higher' if found.value > 0 else 'lower'} in {names[1]} than in {names[0]}"
+    seen = f"the yield is {points} {words} ({span(size, share=True).removesuffix(' %')})"
+    none = f"no difference of yields seen between {names[1]} and {names[0]} (it is less than {least})"
     return YieldPair(test, *names, n, only_a, only_b, p, found, seen if p < SURE and found.certain else none)
 
 

@@ -24,7 +24,7 @@ ROW, EDGES = 0.18, 0.75  # in: of a mark in a chart, and of what is above and be
 BARS = 40  # of a histogram, at most
 DOTS = 1500  # of a scatter, by design
 INPUTS = 5  # of a chart of indices
-LONGEST = 36  # letters of a name beside an axis
+LONGEST = 44  # letters of a name beside an axis
 FAR = 1.5  # times as wide as the values lie that a limit may be away from them
 
 
@@ -162,14 +162,19 @@ def _beyond(ax: Axes, found: Sequence[Capability], drives: Sequence[Drives]) -> 
 def _scatter(ax: Axes, found: Capability, drives: Sequence[Drives], made: Sequence[Sensitivity]) -> None:
     """Over the input that matters most in the first design that has one."""
     index = next((each.strongest for each in made if each.strongest), None)
-    if index is None or index.input not in drives[0].inputs:
+    if index is None:
         _empty(ax, "no input is seen to matter" if any(each.indices for each in made) else "no indices")
         return
-    for of in drives:
+    have = [of for of in drives if index.input in of.inputs.told]
+    if not have:  # a factor that is no figure of the drive
+        _empty(ax, f"strongest:\n{index.input}")
+        return
+    for of in have:
         every = max(len(of) // DOTS, 1)
-        x, y = of.inputs[index.input][::every], of.values(found.name)[::every, 0]
+        x, y = of.inputs.told[index.input][::every], of.values(found.name)[::every, 0]
         ax.plot(x, y, ".", ms=2.5, color=hue(of.design), alpha=0.5, mew=0)
     axis_labels(ax, index.input, found.unit or "value")
+    ax.xaxis.label.set_fontsize(SMALL)
 
 
 def _empty(ax: Axes, why: str) -> None:
@@ -177,31 +182,46 @@ def _empty(ax: Axes, why: str) -> None:
     ax.text(0.5, 0.5, why, transform=ax.transAxes, ha="center", fontsize=FONT_SIZE, color=GREY)
 
 
-def draw_indices(made: Sequence[Sensitivity]) -> Figure:
-    """The strongest inputs of each measurement as bars with intervals, two measurements beside each other."""
-    rows, most = -(-len(made) // 2), max(len(each.indices[:INPUTS]) for each in made)
-    total = any(index.total for each in made for index in each.indices)
-    figure, axes = new_figure(rows, 2, height=rows * (0.6 + ROW * most) + 0.5, share_x=False)
-    for ax, each in zip(axes, made, strict=False):
-        _bars(ax, each.indices[:INPUTS], total)
-        ax.set_title(each.name, fontsize=SMALL, loc="left")
+def draw_indices(made: Sequence[Sequence[Sensitivity]], designs: Sequence[str]) -> Figure:
+    """The strongest inputs of each measurement as bars with intervals, two measurements beside each other.
+
+    `made` are of its designs; of several they have their colours, and of one the index alone and with others.
+    """
+    total = all(index.total for of in made for each in of for index in each.indices)
+    series = len(designs) if len(designs) > 1 else 1 + total
+    rows = -(-len(made) // 2)
+    figure, axes = new_figure(rows, 2, height=rows * (0.6 + INPUTS * max(ROW, 0.11 * series)) + 0.5, share_x=False)
+    for ax, of in zip(axes, made, strict=False):
+        names = list(dict.fromkeys(index.input for index in sorted(_indices(of), key=lambda index: -index.size)))[
+            :INPUTS
+        ]
+        for k in range(series):
+            mine = _indices([each for each in of if len(designs) == 1 or each.design == designs[k]])
+            words = designs[k] if len(designs) > 1 else ("alone", "with others")[k]
+            _bars(ax, [index for index in mine if index.input in names], names, (k, series, words))
+        _names(ax, names)
+        ax.set_xlim(0.0, 100.0)
+        ax.set_title(of[0].name, fontsize=SMALL, loc="left")
+        ax.tick_params(labelsize=SMALL)
     for ax in axes[len(made) :]:
         ax.set_axis_off()
-    axis_labels(axes[len(made) - 1], "share of the variance", "", "%")
-    if total:
-        figure.legend(
-            *axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2, frameon=False, fontsize=SMALL
-        )
+    if series > 1:
+        _legend(figure, axes[0])
     return figure
 
 
-def _bars(ax: Axes, indices: Sequence[Index], total: bool) -> None:
-    for k, words in enumerate(("alone", "with others")[: 1 + total]):
-        found = [index.total if k and index.total else index.first for index in indices]
-        y = [row + (0.4 * k - 0.2 if total else 0.0) for row in range(len(found))]
-        colours = [hue(k) if index.matters else GREY for index in indices]
-        ax.barh(y, [100.0 * each.value for each in found], 0.38 if total else 0.65, color=colours, label=words)
-        _interval(ax, found, y, "none", BLACK)
-    _names(ax, [index.input for index in indices])
-    ax.set_xlim(min(0.0, ax.get_xlim()[0]), max(100.0, ax.get_xlim()[1]))
-    ax.tick_params(labelsize=SMALL)
+def _indices(made: Sequence[Sensitivity]) -> list[Index]:
+    return [index for each in made for index in each.indices]
+
+
+def _bars(ax: Axes, indices: Sequence[Index], names: Sequence[str], of: tuple[int, int, str]) -> None:
+    """Of the series `of`: its number, how many there are, and what it is. What is not told from 0 is pale."""
+    k, series, words = of
+    alone = words == "alone" or (k == 0 and series == 1)
+    found = [index.first if alone or index.total is None else index.total for index in indices]
+    y = [names.index(index.input) + 0.8 * ((k + 0.5) / series - 0.5) for index in indices]
+    bars = ax.barh(y, [100.0 * each.value for each in found], 0.75 / series, color=hue(k))
+    ax.plot([], [], "s", color=hue(k), label=words)
+    for bar, index in zip(bars, indices, strict=True):
+        bar.set_alpha(1.0 if index.matters else 0.3)
+    _interval(ax, found, y, "none", BLACK)

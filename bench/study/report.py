@@ -22,7 +22,7 @@ __all__ = ["About", "answer", "answers", "lines", "write_report"]
 
 NAME = "report.html"
 PANELS = 12  # measurements with a picture: those with the least room
-BARS = 8  # charts of indices in a picture
+BARS = 6  # charts of indices in a picture
 
 
 def write_report(folder: Path, rows: Rows, about: About, overwrite: bool = False, found: Answers | None = None) -> Path:
@@ -40,8 +40,10 @@ def write_report(folder: Path, rows: Rows, about: About, overwrite: bool = False
 
 def as_html(rows: Rows, about: About, found: Answers) -> str:
     """The page."""
-    told = [each for each in found.sensitivity if each.indices and each.design == rows.designs[0]][:PANELS]
-    names = list(dict.fromkeys(each.name for each in found.capability))[:PANELS]
+    names = list(dict.fromkeys(each.name for each in found.capability if each.sd))[:PANELS]
+    told = [[each for each in found.sensitivity if each.indices and each.name == name] for name in names]
+    told = [made for made in told if made]
+    there = [design for design in rows.designs if any(each.design == design for made in told for each in made)]
     vary = [pair for pair in found.value_pairs if pair.sd_of_a > 0.0 and pair.name in names]
     # a $ in a name is no mathematics
     with TemporaryDirectory(prefix="hallbench-") as place, rc_context({"text.parse_math": False}):
@@ -67,7 +69,7 @@ def as_html(rows: Rows, about: About, found: Answers) -> str:
             yields=drawn(draw_yields, known, rows.designs) if known else "",
             pairs=drawn(draw_pairs, vary) if vary else "",
             panels={name: drawn(draw_measurement, *_of(name, rows, about, found)) for name in names},
-            charts=[drawn(draw_indices, told[k : k + BARS]) for k in range(0, len(told), BARS)],
+            charts=[drawn(draw_indices, told[k : k + BARS], there) for k in range(0, len(told), BARS)],
             why={each.why for each in found.sensitivity if each.why},
             total=bool(about.saltelli),
         )

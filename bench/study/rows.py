@@ -37,7 +37,7 @@ class Rows:
     verdicts: Mapping[str, NDArray[np.str_]]
     """By test: of `bench.signal.verdict.Verdict`; empty where a row does not have it."""
     limits: Mapping[str, Limits]
-    """By TEST.MEASUREMENT; those that were judged."""
+    """By TEST.MEASUREMENT; those without ends say the unit and nothing else."""
     seconds: F64
     """CPU time that each took."""
 

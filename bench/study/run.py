@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bench.errors import BenchError
 from bench.rig.screen import Screen
-from bench.study.engine import Rate, open_engine
+from bench.study.engine import Engine, Rate, open_engine
 from bench.study.experiments import course, limits_of, lost, test_of
 from bench.study.schedule import Crashed
 from bench.study.store import FOLDER, Store
@@ -46,21 +46,25 @@ def run(options: StudyOptions, screen: Screen, clock: Callable[[], float]) -> Pa
         there, total = int(store.done.sum()), len(study)
         if there:
             screen.note(f"{folder}: {counted(there, 'row')} of {total} there already")
-        if there == total:
-            return folder
-        with open_engine(options.workers, options.cluster, screen.note) as engine:
-            rate = Rate(total, clock, there)
-            screen.progress(rate.said("rows"))
-            for done in engine.run(study.text, WORK, store.missing()):
-                if isinstance(done, Crashed):
-                    (row,) = done.rows
-                    screen.note(f"row {row}: {done.why}")
-                    store.add(lost(study, row, done.why), "")
-                else:
-                    store.add(done.result, done.worker)
-                rate.add(len(done.rows))
-                screen.progress(rate.said("rows"))
+        if there < total:
+            with open_engine(options.workers, options.cluster, screen.note) as engine:
+                fill(store, study, engine, screen, clock)
     return folder
+
+
+def fill(store: Store, study: Study, engine: Engine, screen: Screen, clock: Callable[[], float]) -> None:
+    """Compute what is missing of a study."""
+    rate = Rate(len(study), clock, int(store.done.sum()))
+    screen.progress(rate.said("rows"))
+    for done in engine.run(study.text, WORK, store.missing()):
+        if isinstance(done, Crashed):
+            (row,) = done.rows
+            screen.note(f"row {row}: {done.why}")
+            store.add(lost(study, row, done.why), "")
+        else:
+            store.add(done.result, done.worker)
+        rate.add(len(done.rows))
+        screen.progress(rate.said("rows"))
 
 
 def check(study: Study) -> None:

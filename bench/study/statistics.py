@@ -124,9 +124,8 @@ def not_normal(values: F64) -> str:
     statistic = -n - float(np.mean(weights * (special.log_ndtr(z) + special.log_ndtr(-z[::-1]))))
     skew, kurtosis = float(stats.skew(z)), float(stats.kurtosis(z))
     found = statistic * (1.0 + 0.75 / n + 2.25 / n**2) > ANDERSON_DARLING
-    return (
-        f"skew {skew:.2g}, kurtosis {kurtosis:.2g}" if found and (abs(skew) > SKEW or abs(kurtosis) > KURTOSIS) else ""
-    )
+    plainly = found and (abs(skew) > SKEW or abs(kurtosis) > KURTOSIS)
+    return f"skew {skew:.2g}, kurtosis {kurtosis:.2g}" if plainly else ""
 
 
 def varies(values: F64) -> bool:
@@ -152,9 +151,8 @@ def plus_minus(found: Estimate) -> str:
     """Size and half the interval, to two digits of the latter."""
     half = (found.hi - found.lo) / 2.0
     digits = max(1 - math.floor(math.log10(half)), 0) if half > 0.0 else 4
-    return (
-        f"{abs(found.value):.{digits}f} ± {half:.{digits}f}" if digits < 8 else f"{abs(found.value):.3g} ± {half:.2g}"
-    )
+    form, rest = (f".{digits}f", f".{digits}f") if digits < 8 else (".3g", ".2g")
+    return f"{abs(found.value):{form}} ± {half:{rest}}"
 
 
 def span(found: Estimate, unit: str = "", share: bool = False) -> str:

@@ -121,7 +121,7 @@ class Store:
         from pyarrow import parquet
 
         files = sorted(self.folder.glob(FILES))
-        self._write(parquet, _table(self.folder), self.folder / f"rows-{self._next:06d}.parquet")
+        self._write(parquet, table_in(self.folder), self.folder / f"rows-{self._next:06d}.parquet")
         self._next += 1
         for file in files:
             file.unlink()
@@ -153,7 +153,7 @@ def _numbers(folder: Path, n: int) -> Any:
     return done
 
 
-def _table(folder: Path) -> Any:
+def table_in(folder: Path) -> Any:
     """All rows once, by their number."""
     import pyarrow as pa
     from pyarrow import parquet
@@ -174,7 +174,7 @@ def open_study(folder: Path) -> Study:
 
 def read_rows(folder: Path) -> Rows:
     """What there is of its rows."""
-    study, table = open_study(folder), _table(folder)
+    study, table = open_study(folder), table_in(folder)
 
     def by(prefix: str) -> list[str]:
         return [name for name in table.column_names if name.startswith(prefix)]

@@ -149,7 +149,11 @@ def _varied(one: Mapping[str, Any]) -> Varied:
 
 def read_study(path: Path, **instead: Any) -> Study:
     """Read a study's TOML; `instead`: keys of its top that are given elsewhere. BenchError for what cannot be done."""
-    data = _read_toml(path) | {key: value for key, value in instead.items() if value is not None}
+    return study_of(read_toml(path) | {key: value for key, value in instead.items() if value is not None}, path)
+
+
+def study_of(data: Mapping[str, Any], path: Path) -> Study:
+    """The study that the TOML at `path` says. BenchError for what cannot be done."""
     where = str(path)
     for key, value in data.items():
         if key not in TOP:
@@ -187,7 +191,8 @@ def read_study(path: Path, **instead: Any) -> Study:
     return study
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a file. BenchError where it is no TOML."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
@@ -210,10 +215,7 @@ def _whole(data: Mapping[str, Any], key: str, default: int, least: int, where: s
 
 def _figures(data: Mapping[str, Any], path: Path) -> dict[str, dict[str, Any]]:
     """The figures of each design. What follows from the motor follows from the nominal one of that design."""
-    given = data.get("drive", "")
-    config = configuration(path.parent / given, given) if given else None
-    if config is not None and not config.exists():
-        raise BenchError(f"drive in {path} is '{given}': no file and no motor of that name (bench sim --motors)")
+    config = config_of(data, path)
     designs = data.get("designs", {}) or {AS_CONFIGURED: {}}
     found = {}
     for name, changes in designs.items():
@@ -223,6 +225,15 @@ def _figures(data: Mapping[str, Any], path: Path) -> dict[str, dict[str, Any]]:
         except ConfigError as error:
             raise BenchError(f"{'designs.' + name if data.get('designs') else 'set'} in {path}: {error}") from None
     return found
+
+
+def config_of(data: Mapping[str, Any], path: Path) -> Path | None:
+    """The file of the drive's configuration; None: the default one."""
+    given = data.get("drive", "")
+    config = configuration(path.parent / given, given) if given else None
+    if config is not None and not config.exists():
+        raise BenchError(f"drive in {path} is '{given}': no file and no motor of that name (bench sim --motors)")
+    return config
 
 
 def _read_vary(data: Mapping[str, Any], figures: Mapping[str, Any], where: str) -> Iterator[Varied]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,10 +38,9 @@ class Worst:
     replay: str
 
 
-def worst(drives: Drives, names: Sequence[str], replay: Callable[[int], str]) -> list[Worst]:
-    """By test the drives that failed or passed with the smallest margin; `names` of inputs that vary."""
-    tests = [test for test in drives.rows.verdicts if drives.tried(test)]
-    return [each for test in tests for each in _of_test(drives, test, names, replay)]
+def worst(drives: Drives, replay: Callable[[int], str]) -> list[Worst]:
+    """By test the drives that failed or passed with the smallest margin."""
+    return [each for test in drives.tests for each in _of_test(drives, test, replay)]
 
 
 def margin_share(limits: Limits, values: F64) -> F64:
@@ -60,7 +59,7 @@ def margin_share(limits: Limits, values: F64) -> F64:
     return np.where(margin == 0.0, np.nan, known)
 
 
-def _of_test(drives: Drives, test: str, names: Sequence[str], replay: Callable[[int], str]) -> list[Worst]:
+def _of_test(drives: Drives, test: str, replay: Callable[[int], str]) -> list[Worst]:
     rows = drives.rows
     at = drives.place[drives.place >= 0]
     at = np.sort(at[rows.judged(test)[at]])
@@ -80,15 +79,15 @@ def _of_test(drives: Drives, test: str, names: Sequence[str], replay: Callable[[
         found.append(Worst(
             test, rows.designs[drives.design], int(rows.row[row]), int(rows.sample[row]), str(rows.verdicts[test][row]),
             which, float(rows.measured[which][row]) if which else np.nan, str(rows.limits[which]) if which else "",
-            float(least[k]) if which else np.nan, _unusual(drives, int(rows.sample[row]), names),
+            float(least[k]) if which else np.nan, _unusual(drives, int(rows.sample[row])),
             replay(int(rows.row[row])),
         ))  # fmt: skip
     return found
 
 
-def _unusual(drives: Drives, sample: int, names: Sequence[str]) -> tuple[tuple[str, float, float], ...]:
+def _unusual(drives: Drives, sample: int) -> tuple[tuple[str, float, float], ...]:
     at = int(np.searchsorted(drives.sample, sample))
-    inputs = [(name, drives.inputs[name]) for name in names]
+    inputs = drives.inputs.told.items()
     found = [(name, float(x[at]), float((x[at] - x.mean()) / x.std())) for name, x in inputs]
     found.sort(key=lambda each: -abs(each[2]))
     return tuple(each for each in found[:SHOWN] if abs(each[2]) >= UNUSUAL)

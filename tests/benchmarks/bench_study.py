@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import psutil
 
@@ -67,20 +68,32 @@ def alone(study: Study, rows: range) -> float:
     return spent
 
 
-def per_second(study: Study, workers: int, folder: Path) -> tuple[float, float]:
-    """Rows a second, stored, once batches have their size; and memory of client and workers at the end, MB."""
+class Spread(NamedTuple):
+    """Of rows over workers."""
+
+    rate: float
+    """Rows a second, stored, once batches have their size."""
+    client: float
+    """CPU time of the client a row, s."""
+    memory: float
+    """Of client, scheduler and workers at the end, MB."""
+
+
+def spread(study: Study, workers: int, folder: Path) -> Spread:
+    """All rows of a study over so many workers."""
     with Store(folder, study, identity()) as store, Cluster(workers, None, lambda text: None) as engine:
-        begun, first, n, memory = 0.0, 0, 0, 0.0
+        begun, first, n, spent, memory = 0.0, 0, 0, 0.0, 0.0
         for done in engine.run(study.text, WORK, store.missing()):
             store.add(done.result, done.worker)
             n += len(done.rows)
             if not begun and n >= AT_ONCE:  # kernels are loaded, and batches have their size
-                begun, first = time.perf_counter(), n
+                begun, first, spent = time.perf_counter(), n, time.process_time()
             if n == len(study):
                 rate = (n - first) / (time.perf_counter() - begun)
+                spent = (time.process_time() - spent) / (n - first)
                 family = [psutil.Process(), *psutil.Process().children(recursive=True)]
                 memory = sum(one.memory_info().rss for one in family) / 1e6
-    return rate, memory
+    return Spread(rate, spent, memory)
 
 
 def rows(short: bool) -> Iterator[Row]:
@@ -103,11 +116,13 @@ def rows(short: bool) -> Iterator[Row]:
         yield cost("a row of a study of it, CPU time", 1e3 * studied / n, "ms")
         yield Row("share of the simulation's speed", simulated / studied, "x", SHARE)
         if not short:
-            one, _ = per_second(study, 1, folder / "one.study")
-            two, memory = per_second(study, 2, folder / "two.study")
-            yield speed("rows with one worker", one, "1/s")
-            yield Row("two workers over one", two / one, "x", TWO)
-            more = read_study(folder / "study.toml", samples=3 * n)
-            _, grown = per_second(more, 2, folder / "more.study")
-            yield Row("memory of client, scheduler and two workers after 1000 rows", memory, "MB", at_most=True)
-            yield Row("after 3000 rows, by it", grown / memory, "x", 1.1, at_most=True)
+            one, two = (spread(study, workers, folder / f"{workers}.study") for workers in (1, 2))
+            yield speed("rows with one worker", one.rate, "1/s")
+            yield Row("two workers over one", two.rate / one.rate, "x", TWO)
+            yield cost("client, CPU a row", 1e3 * two.client, "ms")
+            yield Row("workers that one client can feed", studied / n / two.client, "")
+            yield Row("memory of client, scheduler and two workers after 1000 rows", two.memory, "MB", at_most=True)
+            more = spread(read_study(folder / "study.toml", samples=3 * n), 2, folder / "more.study")
+            yield Row("after 3000 rows, by it", more.memory / two.memory, "x", 1.1, at_most=True)
+            size = sum(file.stat().st_size for file in (folder / "more.study").glob("rows-*")) / (3 * n)
+            yield Row("on disk, a row", size, "bytes", at_most=True)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from scipy.stats import qmc
 
 from bench.study.statistics import (
     Estimate,
@@ -28,17 +29,10 @@ from bench.study.statistics import (
 )
 
 
-@pytest.mark.parametrize(
-    ("k", "n", "lo", "hi"),
-    [  # C. J. Clopper, E. S. Pearson, Biometrika 26 (1934), and the rule of three's exact form
-        (0, 10, 0.0, 0.3085),
-        (1, 10, 0.0025, 0.4450),
-        (5, 10, 0.1871, 0.8129),
-        (10, 10, 0.6915, 1.0),
-        (0, 1, 0.0, 0.975),
-        (950, 1000, 0.9346, 0.9627),
-    ],
-)
+@pytest.mark.parametrize(("k", "n", "lo", "hi"), [  # C. J. Clopper, E. S. Pearson, Biometrika 26 (1934)
+    (0, 10, 0.0, 0.3085), (1, 10, 0.0025, 0.4450), (5, 10, 0.1871, 0.8129), (10, 10, 0.6915, 1.0), (0, 1, 0.0, 0.975),
+    (950, 1000, 0.9346, 0.9627),
+])  # fmt: skip
 def test_shares_have_the_intervals_of_the_table(k: int, n: int, lo: float, hi: float) -> None:
     assert share(k, n) == pytest.approx((k / n, lo, hi), abs=6e-5)
 
@@ -113,24 +107,28 @@ def test_only_what_is_plainly_not_normal_is_called_so() -> None:
     assert not_normal(random.integers(0, 3, 100).astype(float)) == "3 different values only"
 
 
-@pytest.mark.parametrize(
-    ("words", "wanted"),
-    [
-        (percent(0.934), "93.4 %"),
-        (percent(1.0), "100 %"),
-        (percent(0.0), "0 %"),
-        (percent(1e-9), "< 0.0001 %"),
-        (percent(0.9963), "99.63 %"),
-        (percent(0.9999), "99.990 %"),
-        (percent(0.00001), "0.0010 %"),
-        (percent(math.nan), "–"),
-        (span(Estimate(1, 0.5, math.inf), "deg"), "at least 0.5 deg"),
-        (span(Estimate(1, -math.inf, 2)), "at most 2"),
-        (span(Estimate(1, -math.inf, math.inf)), "not known"),
-        (span(Estimate(0.5, 0.25, 0.75), share=True), "25.0 … 75.0 %"),
-        (plus_minus(Estimate(-0.08054, -0.10654, -0.05454)), "0.081 ± 0.026"),
-        (plus_minus(Estimate(1234.0, 1000.0, 1468.0)), "1234 ± 234"),
-    ],
-)
-def test_numbers_in_words(words: str, wanted: str) -> None:
+@pytest.mark.parametrize(("words", "wanted"), [
+    ([percent(share) for share in (0.0, 1e-9, 0.00001, 0.934)], ["0 %", "< 0.0001 %", "0.0010 %", "93.4 %"]),
+    ([percent(share) for share in (0.9963, 0.9999, 1.0, math.nan)], ["99.63 %", "99.990 %", "100 %", "–"]),
+    (span(Estimate(1, 0.5, math.inf), "deg"), "at least 0.5 deg"),
+    (span(Estimate(1, -math.inf, 2)), "at most 2"),
+    (span(Estimate(1, -math.inf, math.inf)), "not known"),
+    (span(Estimate(0.5, 0.25, 0.75), share=True), "25.0 … 75.0 %"),
+    (plus_minus(Estimate(-0.08054, -0.10654, -0.05454)), "0.081 ± 0.026"),
+    (plus_minus(Estimate(1234.0, 1000.0, 1468.0)), "1234 ± 234"),
+])  # fmt: skip
+def test_numbers_in_words(words: object, wanted: object) -> None:
     assert words == wanted
+
+
+@pytest.mark.parametrize("draw", [qmc.Sobol, qmc.LatinHypercube])
+def test_of_drives_that_are_drawn_evenly_intervals_are_wide_enough(draw: type[qmc.QMCEngine]) -> None:
+    """The report says so; the figure grows with each of its four inputs."""
+    weights = np.array([1.0, 0.7, 0.5, 0.3])
+    limit = stats.norm.ppf(0.9, scale=np.sqrt((weights**2).sum()))
+    found = []
+    for seed in range(150):
+        values = stats.norm.ppf(draw(4, seed=seed).random(128)) @ weights
+        found.append((share(int((values <= limit).sum()), 128), quantile(values, 0.9)))
+    assert np.mean([each.lo <= 0.9 <= each.hi for each, _ in found]) >= 0.95
+    assert np.mean([each.lo <= limit <= each.hi for _, each in found]) >= 0.95

@@ -95,7 +95,7 @@ def test_verdicts_are_compared_by_drives_that_differ() -> None:
     assert (pair.n, pair.only_a, pair.only_b) == (399, 5, 25)
     assert pair.p == pytest.approx(2.0 * stats.binom.cdf(5, 30, 0.5))
     assert pair.difference.value == pytest.approx(20 / 399)
-    assert "t: 5.0 % more drives pass in b than in a (2." in lines(rows, about(rows))[-1]
+    assert "t: the yield is 5.0 points higher in b than in a (2." in lines(rows, about(rows))[-1]
     turned = rows_of({"x": np.arange(400.0)}, {"m": np.zeros((400, 1, 2))}, (), ("b", "a"), {"t": verdicts[:, :, ::-1]})
     assert answer(turned, about(rows)).yield_pairs[0].difference.value == pytest.approx(-20 / 399)
 

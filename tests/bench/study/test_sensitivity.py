@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import builtins
+import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from SALib.sample import sobol as saltelli_points
 
-from bench.study.answers import answer, lines
+from bench.signal.limits import Limits
+from bench.study.answers import answer, answers, lines
 from bench.study.drives import Drives
-from bench.study.sensitivity import Curves, Index, Sensitivity, noise, sensitivities, varied
+from bench.study.inputs import varied
+from bench.study.report import write_report
+from bench.study.sensitivity import Curves, Index, Sensitivity, noise, sensitivities
 from tests.bench.study.made import about, picked, rows_of
 
 Draw = Callable[[np.random.Generator, int], tuple[np.ndarray, np.ndarray]]
@@ -164,7 +169,7 @@ def test_without_salib_it_says_what_brings_it(monkeypatch: pytest.MonkeyPatch) -
     rows = study(x, y).rows
     words = lines(rows, about(rows, saltelli=("x0", "x1", "x2")))
     assert any("pip install 'hallbench[study]'" in line for line in words)
-    assert sensitivities(study(x, y), ["t.y"], ["x0"], ())[0].indices  # of any other sampling it is not needed
+    assert sensitivities(study(x, y), ["t.y"], ())[0].indices  # of any other sampling it is not needed
 
 
 def test_inputs_that_cannot_be_told_apart_are_said() -> None:
@@ -174,38 +179,51 @@ def test_inputs_that_cannot_be_told_apart_are_said() -> None:
         "a": x,
         "b": 2.0 - 3.0 * x,
         "c": np.ones(400),
-        "d": x + 0.5 * random.normal(size=400),
+        "d": x + random.normal(size=400),
         "e": random.normal(size=400),
     }
     names, words = varied(inputs)
-    assert names == ["a", "d", "e"]
-    assert words[:2] == ["c does not vary", "b follows from a, which stands for both"]
-    assert words[2].startswith("a and d vary together (correlation 0.9")
+    assert list(names) == ["a", "d", "e"]
+    assert words[:2] == ("c does not vary", "b follows from a, which stands for both")
+    assert words[2].startswith("a and d vary together (correlation 0.7")
     assert len(words) == 3
+
+
+def test_what_mostly_follows_another_is_told_by_what_it_adds() -> None:
+    """A firmware was told an angle with an error, and that error is what matters, not where the sensors stand."""
+    random = np.random.default_rng(18)
+    angle, error = random.uniform(0.0, 50.0, 300), random.normal(0.0, 3.0, 300)
+    x = np.column_stack([angle, 0.0175 * (angle + error), random.normal(size=300)])
+    (found,) = sensitivities(study(x, np.abs(error) + 0.2 * random.normal(size=300)), ["t.y"], ())
+    assert [index.input for index in found.indices if index.matters] == ["own part of x1"]
+    assert found.indices[0].first.lo > 0.9
+    adds, notes = study(x, error).inputs.told["own part of x1"], study(x, error).inputs.notes
+    assert notes == ("x1 mostly follows x0 (correlation 0.977): its own part is what it adds to that",)
+    assert abs(np.corrcoef(adds, error)[0, 1]) > 0.99
 
 
 def test_drives_without_a_value_are_left_out_and_few_tell_nothing() -> None:
     x, y = draw_linear(np.random.default_rng(9), 300)
     y[::3] = np.nan
-    (found,) = sensitivities(study(x, y), ["t.y"], ["x0", "x1"], ())
+    (found,) = sensitivities(study(x, y), ["t.y"], ())
     assert found.n == 200
     assert found.indices[0].input == "x0"
     y[49:] = np.nan
-    (found,) = sensitivities(study(x, y), ["t.y"], ["x0", "x1"], ())
+    (found,) = sensitivities(study(x, y), ["t.y"], ())
     assert (found.indices, found.why) == ((), "32 drives have a value, and indices take 50")
 
 
-@pytest.mark.parametrize(("sd", "repetitions"), [(0.5, 2), (0.5, 5), (3.0, 3)])
+@pytest.mark.parametrize(("sd", "repetitions"), [(0.5, 2), (0.5, 8), (3.0, 3)])
 def test_the_share_of_noise_is_within_its_interval(sd: float, repetitions: int) -> None:
     random = np.random.default_rng(13)
     truth = sd * sd / (1.0 + sd * sd)
     inside = []
-    for _ in range(400):
-        table = random.normal(size=(40, 1)) + sd * random.normal(size=(40, repetitions))
+    for _ in range(1000):
+        table = random.normal(size=(10, 1)) + sd * random.normal(size=(10, repetitions))
         found = noise(table)
         assert found is not None
         inside.append(found.lo <= truth <= found.hi)
-    assert np.mean(inside) == pytest.approx(0.95, abs=0.035)
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
 
 
 def test_noise_is_told_of_repetitions_only() -> None:
@@ -220,8 +238,8 @@ def test_inputs_that_are_drawn_as_a_set_are_told_as_one() -> None:
     sets = np.column_stack([random.normal(size=(5, 2)), [0.1, 0.2, 0.2, 0.3, 0.4]])[random.integers(0, 5, 100)]
     inputs = {"edge_3": sets[:, 2], "edge_1": sets[:, 0], "edge_2": sets[:, 1], "r": random.integers(0, 3, 100) * 1.0}
     names, words = varied(inputs)
-    assert names == ["edge_1", "r"]
-    assert words[:2] == [f"edge_{k} follows from edge_1, which stands for both" for k in (3, 2)]
+    assert list(names) == ["edge_1", "r"]
+    assert words[:2] == tuple(f"edge_{k} follows from edge_1, which stands for both" for k in (3, 2))
 
 
 @pytest.mark.parametrize("repetitions", [1, 3])
@@ -236,3 +254,46 @@ def test_noise_makes_no_input_matter(repetitions: int) -> None:
         (found,) = answer(rows, about(rows, saltelli=factors)).sensitivity
         assert {index.input for index in found.indices if index.matters} == {"x0", "x1", "x2"}
         assert all(index.total is not None and index.total.lo > 0.0 for index in found.indices)
+
+
+def test_of_many_inputs_without_effect_none_is_said_to_have_one() -> None:
+    """In 19 of 20 studies; of one input alone the intervals would accuse one in a hundred."""
+    random = np.random.default_rng(14)
+    curves = Curves({f"x{k}": random.normal(size=100) for k in range(20)})
+    studies = [curves.indices(random.normal(size=100))[1] for _ in range(1000)]
+    assert np.mean([any(index.matters for index in found) for found in studies]) <= 0.05
+
+
+@pytest.mark.parametrize("constant", [False, True])
+def test_one_factor_makes_all_of_the_variance(constant: bool, tmp_path: Path) -> None:
+    """Another, which does not vary, is left out."""
+    a, b = np.random.default_rng(15).random((2, 64))
+    x = np.column_stack([a, b, *([a] if constant else []), b]).ravel()
+    inputs = {"x": x} | ({"still": np.ones(len(x))} if constant else {})
+    rows = rows_of(inputs, {"t.y": x.reshape(-1, 1, 1)}, [Limits("t.y", "", None, 0.9)])
+    said = about(rows, saltelli=tuple(inputs))
+    found = json.loads(json.dumps(answers(rows, said), allow_nan=False))
+    ((index,),) = (each["indices"] for each in found["sensitivity"])
+    assert (index["input"], index["matters"], index["total"]["hi"]) == ("x", True, 1.0)
+    assert "By SALib" in write_report(tmp_path, rows, said).read_text()
+
+
+def test_an_input_of_one_design_is_told_of_that_one_only(tmp_path: Path) -> None:
+    """The other's is what it was told in its place; both are in all rows."""
+    random = np.random.default_rng(16)
+    inputs = {"x": random.normal(size=200), "e": random.normal(size=200), "e@b": random.normal(size=200)}
+    y = np.stack([inputs["e"], inputs["x"] + inputs["e@b"]], axis=1)[:, None, :]
+    rows = rows_of(inputs, {"t.y": y}, [Limits("t.y", "", None, 2.0)], ("a", "b"))
+    found = answer(rows, about(rows))
+    told = {each.design: {index.input: index.matters for index in each.indices} for each in found.sensitivity}
+    assert told == {"a": {"e": True, "x": False}, "b": {"x": True, "e@b": True}}
+    assert {name for each in found.worst if each.design == "a" for name, _, _ in each.unusual} <= {"x", "e"}
+    assert write_report(tmp_path, rows, about(rows)).exists()
+
+
+def test_a_factor_that_is_no_figure_of_the_drive_has_indices_too(tmp_path: Path) -> None:
+    x, y = saltelli(64)
+    rows = study(x, y).rows
+    said = about(rows, saltelli=("x0", "error of x1", "x2"))
+    assert answer(rows, said).sensitivity[0].indices[0].input in ("x0", "error of x1")
+    assert "error of x1" in write_report(tmp_path, rows, said).read_text()

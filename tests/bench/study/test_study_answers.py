@@ -18,10 +18,11 @@ from bench.signal.limits import Limits
 from bench.signal.verdict import Verdict
 from bench.study.answers import Answers, answer, answers, lines
 from bench.study.capability import Capability
+from bench.study.drives import ALL
 from bench.study.report import write_report
 from bench.study.rows import Rows
 from bench.study.worst import margin_share
-from bench.study.yields import ALL, Yield
+from bench.study.yields import Yield
 from tests.bench.study.made import about, motors, picked, rows_of
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -51,6 +52,7 @@ def test_a_drive_passes_that_passes_in_every_repetition() -> None:
     )
     found = answer(rows, about(rows))
     t, u, both = (yield_of(found, test) for test in ("t", "u", ALL))
+    assert (t.unknown_row, u.unknown_row, both.unknown_row) == (7, 10, None)
     assert (t.passed, t.failed, t.unknown, t.bounds) == (2, 2, 2, pytest.approx((2 / 6, 4 / 6)))
     assert (u.passed, u.failed, u.unknown) == (4, 1, 1)
     assert (both.passed, both.failed, both.unknown, both.bounds) == (1, 3, 2, pytest.approx((1 / 6, 3 / 6)))
@@ -141,6 +143,11 @@ def test_the_worst_repetition_counts_beside_a_limit_as_in_a_verdict() -> None:
     assert of(found, "t.m").sides[0].beyond == yield_of(found, "t").failed
 
 
+def test_a_value_at_its_limit_is_within() -> None:
+    rows = normal_study(40, 2.0, 0.0, Limits("t.m", "", 2.0, 2.0))
+    assert [side.beyond for side in of(answer(rows, about(rows)), "t.m").sides] == [0, 0]
+
+
 def test_what_is_not_normal_is_judged_by_the_share_seen() -> None:
     values = np.random.default_rng(2).standard_exponential((5000, 1, 1))
     for limit, said in ((4.0, "no"), (12.0, "yes")):  # 4 is 3 sd from the mean, with 1.8 % beyond it
@@ -171,7 +178,7 @@ def test_the_worst_drive_comes_with_its_command_and_what_is_unusual_in_it() -> N
     inputs = {"r": random.normal(size=50), "l": random.normal(size=50)}
     inputs["l"][17] = 9.0
     values = random.uniform(0.0, 1.0, (50, 2, 1))
-    values[17, 1, 0], values[31, 0, 0] = 3.0, 1.8
+    values[17, :, 0], values[31, 0, 0] = (2.5, 3.0), 1.8
     rows = rows_of(inputs, {"t.m": values}, [Limits("t.m", "deg", None, 2.0)])
     first, second, _ = answer(rows, about(rows)).worst
     assert (first.sample, first.row, first.verdict, first.replay) == (17, 35, "FAIL", "bench study replay s.toml 35")
@@ -224,7 +231,7 @@ def test_what_is_degenerate_gets_words(case: str, tmp_path: Path) -> None:
 
 
 def test_a_report_is_one_file_and_replaces_another_only_if_told(tmp_path: Path) -> None:
-    rows = motors(60)
+    rows = motors(25)
     page = write_report(tmp_path, rows, about(rows, points=True))
     text = page.read_text()
     assert page == tmp_path / "report.html"

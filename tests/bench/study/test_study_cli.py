@@ -28,7 +28,7 @@ def study(*arguments: object) -> Result:
 
 def columns(folder: Path) -> dict[str, list[object]]:
     """All that rows depend on."""
-    table = storing._table(folder)
+    table = storing.table_in(folder)
     there = [name for name in table.column_names if name not in ("cpu_s", "worker", "version", "ended")]
     return {name: table.column(name).to_pylist() for name in there}
 
