@@ -170,14 +170,17 @@ def test_what_was_lost_with_the_scheduler_comes_again_and_counts_as_nothing_s_fa
 
 def test_a_rate_says_what_is_left() -> None:
     now = 0.0
-    rate = Rate(1000, lambda: now, done=7)
+    rate = Rate(1000, lambda: now, done=5)
+    assert rate.said("drives") == "5 of 1000 drives"
+    now = 60.0  # kernels were compiled
+    rate.add(2)
     assert rate.said("drives") == "7 of 1000 drives"
-    now = 5.0
+    now = 65.0
     rate.add(405)
     assert rate.said("drives") == "412 of 1000 drives, 81/s, 7 s left"
-    now = 100.0
+    now = 160.0
     rate.add(10)
-    now = 110.0
+    now = 170.0
     rate.add(10)
     assert rate.per_second == pytest.approx(20 / 105.0)
     assert rate.said("drives") == "432 of 1000 drives, 0.19/s, 50 min left"
