@@ -84,7 +84,7 @@ class Rate:
     def __init__(self, total: int, clock: Callable[[], float], done: int = 0) -> None:
         self.total, self.done = total, done
         self._clock = clock
-        self._seen = deque([(clock(), done)])
+        self._seen = deque[tuple[float, int]]()  # when so much was done; what starts before the first does not count
 
     def add(self, count: int) -> None:
         """So much more is done."""
@@ -96,14 +96,14 @@ class Rate:
 
     @property
     def per_second(self) -> float:
-        """Over the last `WINDOW` at least; 0 where nothing has come yet."""
-        begun, before = self._seen[0]
+        """Over the last `WINDOW` at least; 0 until more than the first has come."""
+        begun, before = self._seen[0] if self._seen else (self._clock(), self.done)
         elapsed = self._clock() - begun
         return (self.done - before) / elapsed if elapsed > 0 else 0.0
 
     @property
     def left(self) -> float:
-        """s, infinite where nothing has come yet."""
+        """s, infinite where there is no rate yet."""
         rate = self.per_second
         return (self.total - self.done) / rate if rate > 0 else float("inf")
 

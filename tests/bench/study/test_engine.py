@@ -96,7 +96,7 @@ def simulated(count: int, workers: int, cost: float, **more: object) -> Simulate
 
 @pytest.mark.parametrize("cost", [0.0, 0.001, 0.02, 0.33, 10.0])
 @pytest.mark.parametrize("workers", [1, 2, 16, 100])
-@pytest.mark.parametrize("count", [0, 1, 7, 20_000])
+@pytest.mark.parametrize("count", [0, 1, 7, 5000])
 def test_each_row_comes_once_and_no_worker_has_more_than_two_batches(count: int, workers: int, cost: float) -> None:
     got = simulated(count, workers, cost)
     assert got.came == Counter(range(count))
@@ -170,14 +170,17 @@ def test_what_was_lost_with_the_scheduler_comes_again_and_counts_as_nothing_s_fa
 
 def test_a_rate_says_what_is_left() -> None:
     now = 0.0
-    rate = Rate(1000, lambda: now, done=7)
+    rate = Rate(1000, lambda: now, done=5)
+    assert rate.said("drives") == "5 of 1000 drives"
+    now = 60.0  # kernels were compiled
+    rate.add(2)
     assert rate.said("drives") == "7 of 1000 drives"
-    now = 5.0
+    now = 65.0
     rate.add(405)
     assert rate.said("drives") == "412 of 1000 drives, 81/s, 7 s left"
-    now = 100.0
+    now = 160.0
     rate.add(10)
-    now = 110.0
+    now = 170.0
     rate.add(10)
     assert rate.per_second == pytest.approx(20 / 105.0)
     assert rate.said("drives") == "432 of 1000 drives, 0.19/s, 50 min left"
