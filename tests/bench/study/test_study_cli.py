@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from processes import Program
 from pyarrow import parquet
 from test_study_file import TEN_LINES, written
 
@@ -129,23 +127,3 @@ def test_a_row_once_more(done: Path, tmp_path: Path) -> None:
     other = study("replay", part, 3)
     assert other.exit_code == 1
     assert "m.fast.speed.std was" in other.stdout
-
-
-@pytest.mark.slow
-def test_a_run_that_is_killed_goes_on(tmp_path: Path, start: Callable[..., Program], done: Path) -> None:
-    """kill -9 while rows come; the same command ends as one that was not disturbed."""
-    file, out = written(tmp_path), tmp_path / "killed.study"
-    import signal
-
-    text = file.read_text().replace("samples = 8", "samples = 300")
-    file.write_text(text)
-    program = start("study", "run", str(file), "--workers", "1", "--out", str(out))
-    program.line(r"of 300 rows")
-    program.send(signal.SIGKILL)
-    program.end()
-    there = len(list(out.glob("rows-*.parquet")))
-    assert study("run", file, "--workers", 1, "--out", out).exit_code == 0
-    assert there >= 0
-    rows = columns(out)
-    assert rows["row"] == list(range(300))
-    assert {name: values[:8] for name, values in rows.items()} == columns(done)

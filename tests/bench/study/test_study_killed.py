@@ -17,7 +17,7 @@ from test_study_file import TEN_LINES, written
 
 from tests.choice import commit
 
-ROWS = 400
+ROWS = 160
 KILLS = ("worker", "scheduler", "client")
 
 
@@ -35,12 +35,14 @@ def awaited(what: Callable[[], object]) -> None:
 
 def cluster_of(client: psutil.Process) -> list[psutil.Process]:
     """The process of the scheduler, then the workers."""
-    (scheduler,) = client.children()
-    return [scheduler, *(each for each in scheduler.children(recursive=True) if not each.children())]
+    found = client.children()
+    with suppress(psutil.NoSuchProcess):
+        return found + [each for each in found[0].children(recursive=True) if not each.children()] if found else []
+    return []
 
 
 @pytest.mark.slow
-@pytest.mark.long("three clusters start, and 400 drives are computed twice")
+@pytest.mark.long("three clusters start, and 160 drives are computed twice")
 def test_a_study_killed_three_times_has_the_rows_of_one_that_was_not(
     tmp_path: Path, start: Callable[..., Program]
 ) -> None:
@@ -55,6 +57,7 @@ def test_a_study_killed_three_times_has_the_rows_of_one_that_was_not(
         awaited(lambda before=before, program=program: files(out) > before or program.process.poll() is not None)
         assert program.process.poll() is None, program.err
         client = psutil.Process(program.process.pid)
+        awaited(lambda client=client: len(cluster_of(client)) > 1)  # a scheduler that died comes back with its workers
         scheduler, *workers = cluster_of(client)
         dies = {"worker": workers[int(rng.integers(len(workers)))], "scheduler": scheduler, "client": client}[victim]
         dies.send_signal(signal.SIGKILL)

@@ -53,6 +53,8 @@ def test_each_statement_has_an_interval_and_each_yield_all_drives(generator: Mod
     assert all(re.search(r"±|…|less than", line) for line in lines)
 
 
+@pytest.mark.slow
+@pytest.mark.long("80 rows of four courses each, and a report with pictures")
 def test_a_short_form_of_it_runs_and_agrees(generator: ModuleType, tmp_path: Path) -> None:
     """20 drives on two workers: what passes lies where the page says, as far as 20 drives can tell."""
     short = generator.study(2, 20, tmp_path / "report.html")
@@ -71,6 +73,7 @@ def test_the_page_names_all_that_a_study_may_say() -> None:
     assert [word for word in words if not re.search(rf"\b{word}\b", text)] == []
 
 
+@pytest.mark.slow
 def test_the_ten_lines_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As they stand there, with fewer drives, and the commands after them."""
     monkeypatch.chdir(tmp_path)
