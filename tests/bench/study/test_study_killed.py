@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import psutil
@@ -17,6 +18,8 @@ from test_study_file import TEN_LINES, written
 
 from tests.choice import commit
 
+T = TypeVar("T")
+
 ROWS = 160
 KILLS = ("worker", "scheduler", "client")
 
@@ -25,19 +28,21 @@ def files(folder: Path) -> int:
     return len(list(folder.glob("rows-*.parquet")))
 
 
-def awaited(what: Callable[[], object]) -> None:
-    """Until it holds, at most as long as anything may take."""
+def awaited(what: Callable[[], T]) -> T:
+    """What is there, or holds, in the end: after as long as anything may take at most."""
     end = time.monotonic() + LIMIT
-    while not what():
+    while not (found := what()):
         assert time.monotonic() < end
         time.sleep(0.01)
+    return found
 
 
 def cluster_of(client: psutil.Process) -> list[psutil.Process]:
-    """The process of the scheduler, then the workers."""
-    found = client.children()
+    """The process of the scheduler, then the workers; none while they start."""
     with suppress(psutil.NoSuchProcess):
-        return found + [each for each in found[0].children(recursive=True) if not each.children()] if found else []
+        for scheduler in client.children():
+            workers = [each for each in scheduler.children(recursive=True) if not each.children()]
+            return [scheduler, *workers] if workers else []
     return []
 
 
@@ -57,8 +62,7 @@ def test_a_study_killed_three_times_has_the_rows_of_one_that_was_not(
         awaited(lambda before=before, program=program: files(out) > before or program.process.poll() is not None)
         assert program.process.poll() is None, program.err
         client = psutil.Process(program.process.pid)
-        awaited(lambda client=client: len(cluster_of(client)) > 1)  # a scheduler that died comes back with its workers
-        scheduler, *workers = cluster_of(client)
+        scheduler, *workers = awaited(lambda client=client: cluster_of(client))
         dies = {"worker": workers[int(rng.integers(len(workers)))], "scheduler": scheduler, "client": client}[victim]
         dies.send_signal(signal.SIGKILL)
         if victim == "client":
