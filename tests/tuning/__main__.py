@@ -9,7 +9,7 @@
 Each writes its part of tests/tuning/found.json. The loss is the mean over drives and over RANGES and steps of
 log((error + FLOOR) / (error as it is + FLOOR)): 0 as it is, -0.1 for errors that are 10 % smaller. What the filter says
 of its own error has to stay true: for each percent of the time that more of it is beyond three standard deviations the
-loss is 0.1 larger. A quarter of the drives to tune on have pulses on their Hall inputs.
+loss is 0.1 larger. A quarter of the drives to tune on have pulses on their Hall inputs; it was screened without them.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ import json
 import math
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,7 @@ PROVED_ON = range(101, 111)
 KINDS = (*RANGES, STEPS)
 FLOOR = 0.05  # deg
 HONEST = 10.0
+TRIPPED = 2.0  # in the place of a share
 MOST = 40  # constants that are tuned together
 TIMES = 1.4  # by which each is changed to see what it does
 FURTHEST = math.log(4.0)  # by which a constant may change
@@ -97,6 +99,13 @@ def in_control(constants: Constants):  # type: ignore[no-untyped-def]
         SOURCES[source] = before
 
 
+def _beside(constants: Constants, pulses: bool = True) -> Beside:
+    """The drives to tune on, with pulses on a quarter of them."""
+    kinds = {seed: UNKIND if seed % 4 or not pulses else PULSES for seed in TUNED_ON}
+    constants.set({})
+    return Beside(constants, [drive(name, seed, kind) for name in DESIGNED_ON for seed, kind in kinds.items()])
+
+
 def screen(beside: Beside, constants: Constants) -> dict[str, list[float]]:
     """Loss by constant, of a value `TIMES` smaller and larger."""
     found = {}
@@ -135,43 +144,49 @@ def tune(beside: Beside, constants: Constants, names: Sequence[str], seconds: fl
     }  # fmt: skip
 
 
-def prove(constants: Constants, values: Mapping[str, float]) -> list[dict[str, Any]]:
+PROOFS = (
+    ("the four that were tuned on", DESIGNED_ON, UNKIND),
+    ("seven other motors", OTHERS, UNKIND),
+    ("all eleven", (*DESIGNED_ON, *OTHERS), PULSES),
+    ("all ten motors", (*DESIGNED_ON[1:], *OTHERS), KIND),
+)
+
+
+def prove(constants: Constants, values: Mapping[str, float], done: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     """Rows: errors with these constants by those as they are, with 95 % intervals, on drives that were not tuned on."""
-    rows = []
-    for what, names, kind in (
-        ("the four that were tuned on", DESIGNED_ON, UNKIND),
-        ("seven other motors", OTHERS, UNKIND),
-        ("all eleven", (*DESIGNED_ON, *OTHERS), PULSES),
-        ("all ten motors", (*DESIGNED_ON[1:], *OTHERS), KIND),
-    ):
-        for control in (False, True):
-            each = [_pair(constants, values, name, seed, kind, control) for name in names for seed in PROVED_ON]
-            before, after = np.array(each).swapaxes(0, 1)
-            change = (after - before)[:, :-1]
-            if names is not DESIGNED_ON:  # what is told is of motors: ten drives of one are not ten of them
-                change = change.reshape(len(names), len(PROVED_ON), -1).mean(1)
-            rows.append(
-                {"drives": what, "kind": kind, "control": control, "n": len(each), "over": len(change)}
-                | ratios(change)
-                | {"beyond": [round(100.0 * float(of[:, -1].mean()), 3) for of in (before, after)]}
-            )
-            print(rows[-1], flush=True)
-    return rows
+    there = {(row["drives"], row["kind"], row["control"]) for row in done}
+    for (what, names, kind), control in product(PROOFS, (False, True)):
+        if (what, kind, control) in there:
+            continue
+        by_name = [[_pair(constants, values, name, seed, kind, control) for seed in PROVED_ON] for name in names]
+        judged = [np.array([pair for pair in pairs if pair]) for pairs in by_name]
+        every = np.concatenate(judged)
+        change = (every[:, 1] - every[:, 0])[:, :-1]
+        if names is not DESIGNED_ON:  # what is told is of motors: ten drives of one are not ten of them
+            change = np.array([(pairs[:, 1] - pairs[:, 0])[:, :-1].mean(0) for pairs in judged])
+        yield {
+            "drives": what, "kind": kind, "control": control, "n": len(every), "over": len(change),
+            "tripped": [len(names) * len(PROVED_ON) - len(every), int((every[:, 1, -1] > TRIPPED - 0.5).sum())],
+            "beyond": [round(100.0 * float(every[:, k, -1].clip(0.0, 1.0).mean()), 3) for k in (0, 1)],
+        } | ratios(change)  # fmt: skip
 
 
 def _pair(
     constants: Constants, values: Mapping[str, float], name: str, seed: int, kind: str, control: bool
 ) -> list[list[float]]:
-    """`sizes` of a drive as it is, and with these constants; one that trips has lost its angle."""
+    """`sizes` of a drive as it is, and with these constants; nothing of one that trips as it is."""
     constants.set({})
-    before = drive(name, seed, kind)
+    try:
+        before = drive(name, seed, kind)
+    except AssertionError:
+        return []
     found = [sizes(constants, before)]
     constants.set(values)
     try:
         with in_control(constants) if control else nullcontext():
             found.append(sizes(constants, drive(name, seed, kind) if control else before))
-    except AssertionError:
-        found.append([math.log(LOST)] * len(KINDS) + [1.0])
+    except AssertionError:  # it has lost its angle
+        found.append([math.log(LOST)] * len(KINDS) + [TRIPPED])
     return found
 
 
@@ -201,21 +216,22 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder, Progress() as screen:
             found["paper"] = list(paper.rows(given.folder or Path(folder), screen, time.monotonic))
     constants = Constants()
-    if {"screen", "tune"} & {*parts}:
-        drives = [drive(name, seed, UNKIND if seed % 4 else PULSES) for name in DESIGNED_ON for seed in TUNED_ON]
-        beside = Beside(constants, drives)
-        print(f"{len(drives)} drives, {sum(len(one.reset) / one.pwm_hz for one in drives):.0f} s", flush=True)
     for part in parts:
         if part == "paper":
             pass
         elif part == "screen":
-            found[part] = screen(beside, constants)
+            found[part] = screen(_beside(constants, pulses=False), constants)
         elif part == "tune":
             effects = found["screen"]
             names = sorted(effects, key=lambda name: -max(map(abs, effects[name])))[: given.most]
-            found[part] = tune(beside, constants, names, 60.0 * given.minutes)
+            found.pop("prove", None)
+            found[part] = tune(_beside(constants), constants, names, 60.0 * given.minutes)
         else:
-            found[part] = prove(constants, found["tune"]["constants"])
+            found.setdefault(part, [])
+            for row in prove(constants, found["tune"]["constants"], found[part]):
+                print(row, flush=True)
+                found[part].append(row)
+                given.file.write_text(json.dumps(found, indent=1) + "\n")
         found["as_they_are"] = constants.as_they_are
         given.file.write_text(json.dumps(found, indent=1) + "\n")
 
