@@ -44,7 +44,7 @@ def tables(found: dict[str, Any]) -> dict[str, str]:
     values = []
     for row in found["paper"]:
         named = {key.rpartition(".")[2]: value for key, value in row["points"][0]["parameters"].items()}
-        values.append([row["range"], row["use"], *(f"{named[name]:.3g}" for name in wanted)])
+        values.append([row["range"], row["use"], *(f"{float(format(named[name], '.3g')):g}" for name in wanted)])
     proved = [
         [
             f"{row['drives']}, {row['kind']}", "in control" if row["control"] else "beside", str(row["n"]),
