@@ -7,6 +7,7 @@ were chosen: at random, by Sobol's sequence, by Latin hypercubes or for Saltelli
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,6 +26,9 @@ KINDS = {
     "triangular": "[lowest, likeliest, highest]", "choice": "a list of values", "follows": '"KEY"',
 }  # fmt: skip
 """Distributions, and what is given of each."""
+PARTS = {
+    "normal": ("mean", "sd"), "uniform": ("from", "to"), "triangular": ("from", "likeliest", "to")
+}  # fmt: skip
 OPTIONS: dict[str, Any] = {
     "relative": bool, "together": bool, "within": list, "factor": (int, float), "sd": (int, float)
 }  # fmt: skip
@@ -139,11 +143,16 @@ class Varied:
             of = f"{factor:g} x " if factor != 1.0 else ""
             error = f", with an error of {sd:g} (standard deviation)" if sd else ""
             return f"{of}{self.given[0].rpartition('_1')[0] or self.given[0]}{error}" + self._where
-        numbers = ", ".join(f"{one:g}" if isinstance(one, float | int) else str(one) for one in self.given)
+        told = [f"{one:g}" if isinstance(one, float | int) else str(one) for one in self.given]
+        if self.kind == "choice":
+            times = Counter(told)
+            numbers = "of " + ", ".join(f"{one} ({n} x)" if n > 1 else one for one, n in times.items())
+        else:
+            numbers = ", ".join(f"{name} {one}" for name, one in zip(PARTS[self.kind], told, strict=True))
         lo, hi = self.within
         within = f", within {lo:g} … {hi:g}" if (lo, hi) != (-math.inf, math.inf) else ""
         each = ", all of the list alike" if self.together else ", each by itself" if len(self.inputs) > 1 else ""
-        return f"{self.kind} {numbers}{' x nominal' if self.relative else ''}{within}{each}" + self._where
+        return f"{self.kind}: {numbers}{', times nominal' if self.relative else ''}{within}{each}" + self._where
 
     @property
     def _where(self) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -176,18 +177,18 @@ class SimulatedBench:
             or SOURCES[source].start(SOURCES[source].make_params(pwm_hz, self.parameters))
             for source in sorted(wanted - {FRONT_END})
         }
-        self._sections = Sections([SOURCES[source] for source in self._observers])
+        self._sections = _sections(tuple(self._observers))
 
     def _set_constants(self) -> None:
         """Use the bench as it is now, with the faults that are in force."""
-        hall, faults = self.params.hall, self.params.faults
-        moved = hall.replace(delta_deg=_delta_deg(hall.delta_deg, self.load_parameters))
-        p = self.params.replace(hall=moved)  # refused also where faults to come would leave a sector no room
+        p, hall, faults = self.params, self.params.hall, self.params.faults
+        if (moved := _delta_deg(hall.delta_deg, self.load_parameters)) != hall.delta_deg:
+            p = p.replace(hall=hall.replace(delta_deg=moved))  # refused also where faults to come leave no room
         if not self.load_parameters["faults"]:
             faults = faults.without()
         elif self.n < self._slips:
             faults = faults.replace(encoder=faults.encoder.replace(slip_deg=0.0))
-        self._now = p.replace(faults=faults)
+        self._now = p if faults is p.faults else p.replace(faults=faults)
         self._constants = self._params.first = _make(self._now, self.parameters, self.load_parameters)
         self._advance = tick.loop(self._constants)
         self._warm()
@@ -359,6 +360,12 @@ class SimulatedBench:
             self._flags = Cells(np.uint8, n)
         self._wire_records = self._wire.array.view(EDGE_RECORD)
         self._log = self._edges.at, self._wire.at, self._edges.array.size, self._count.at
+
+
+@lru_cache(64)
+def _sections(sources: tuple[int, ...]) -> Sections:
+    """How a block is divided where these observers run."""
+    return Sections([SOURCES[source] for source in sources])
 
 
 def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float]) -> tick.Params:

@@ -8,6 +8,7 @@ Not for statistics of rare events, and not for cryptography.
 
 from __future__ import annotations
 
+from functools import cache
 from statistics import NormalDist
 
 import numpy as np
@@ -24,12 +25,14 @@ _FIRST, _SECOND, _THIRD = np.uint64(52), np.uint64(40), np.uint64(28)
 _ELEVEN = np.uint64(11)
 
 
+@cache
 def table() -> NDArray[np.float64]:
-    """The quantiles at (k + 1/2) / SIZE, scaled to variance 1; shape (SIZE,)."""
+    """The quantiles at (k + 1/2) / SIZE, scaled to variance 1; shape (SIZE,), not to be written to."""
     normal = NormalDist()
     half = np.array([normal.inv_cdf((k + 0.5) / SIZE) for k in range(SIZE // 2)])
     quantiles: NDArray[np.float64] = np.concatenate([half, -half[::-1]])
     quantiles /= quantiles.std()
+    quantiles.flags.writeable = False
     return quantiles
 
 

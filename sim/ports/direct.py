@@ -7,7 +7,7 @@ simulation. The same configuration, seed and course give the same figures, bit f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,7 +40,7 @@ ENCODER = "encoder"
 CONTROL = "control"
 """The angle that the control takes, among those that are measured."""
 ENCODER_ANGLE = "theta_enc"
-PIECE = 0.25  # s that are simulated at once: what they take of memory stays in the caches
+PIECE = 0.125  # s that are simulated at once: what they take of memory stays in the caches
 RPM = math.tau / 60.0
 OF_ERROR = ("mean", "std", "rms", "max")
 
@@ -86,6 +86,9 @@ class Driven:
     """A drive that runs a course. Raises ConfigError for one that its firmware would refuse."""
 
     def __init__(self, params: BenchParams, seed: int, course: Course) -> None:
+        if course.control:
+            firmware = params.firmware.replace(observer=_source(course.control, params))
+            params = params.replace(firmware=firmware)
         self._params, self._course = params, course
         self._bench = bench = SimulatedBench(params, seed)
         self.fault = ""
@@ -96,8 +99,6 @@ class Driven:
                 raise ConfigError(f"speed {speed:g} r/min is above the {most:.4g} r/min of firmware.omega_m_max")
         if abs(course.load) > tau_max:
             raise ConfigError(f"load {course.load:g} N m is above load.tau_max = {tau_max:g} N m")
-        if course.control:
-            bench.set_param("observer", _source(course.control, params))
         self.watch: Callable[[Recorded], object] = lambda recorded: None
         """Gets all that is recorded, piece by piece."""
         control = int(bench.parameters["observer"])
@@ -110,34 +111,34 @@ class Driven:
         """Channels of the observers whose errors are measured."""
         return frozenset(name for each in self._course.observers for name in SOURCES[OBSERVERS[each]].channels)
 
-    def records(self) -> Iterator[tuple[Recorded, float, bool]]:
-        """All that it does, piece by piece: the records, the speed that is asked for (r/min), and whether it counts.
+    def run(self, take: Callable[[Recorded, float], None] = lambda recorded, speed: None) -> None:
+        """Run the course; `take` gets what is recorded and counts, piece by piece, with the speed asked for, r/min.
 
         It ends where the firmware switches off: `fault` says why then.
         """
-        bench, pwm_hz = self._bench, self._params.clock.pwm_hz
+        bench, course, pwm_hz = self._bench, self._course, self._params.clock.pwm_hz
         for state in (DriveState.ARMED, DriveState.RUNNING):
             bench.enter_state(state)
             bench.load_enter_state(state)
-            yield self._advance(1), 0.0, False
-        bench.load_setpoint(SetpointMode.TORQUE, self._course.load)
-        for speed in self._course.speeds:
+            self.watch(bench.advance(1))
+        bench.load_setpoint(SetpointMode.TORQUE, course.load)
+        settle, whole = round(course.settle * pwm_hz), round(course.seconds * pwm_hz)
+        for speed in course.speeds:
             bench.setpoint(SetpointMode.SPEED, speed * RPM)
-            settle = round(self._course.settle * pwm_hz)
-            for counts, left in ((False, settle), (True, round(self._course.seconds * pwm_hz) - settle)):
-                while left > 0:
+            for counts, left in ((False, settle), (True, whole - settle)):
+                while left > 0 and not self.fault:
                     n = min(left, round(PIECE * pwm_hz))
-                    recorded = self._advance(n)
                     left -= n
-                    if bench.faults:
-                        self.fault = str(bench.faults.name)
-                        return
-                    yield recorded, speed, counts
+                    self._go_on(n, speed, take if counts else None)
 
-    def _advance(self, n: int) -> Recorded:
+    def _go_on(self, n: int, speed: float, take: Callable[[Recorded, float], None] | None) -> None:
+        """A piece, whose memory is free again when this returns."""
         recorded = self._bench.advance(n)
         self.watch(recorded)
-        return recorded
+        if self._bench.faults:
+            self.fault = str(self._bench.faults.name)
+        elif take is not None:
+            take(recorded, speed)
 
     def measure(self) -> dict[str, float]:
         """Run the course; what was measured of it by name, nothing but `tripped` where the firmware has switched off.
@@ -146,15 +147,18 @@ class Driven:
         estimated angle, electrical degrees; `speed.mean` and `speed.std`: less what was asked for, r/min; `current.rms`
         and `current.max`: size of the current vector, A; `tripped`: 1 or 0.
         """
-        sums = {name: _Sums() for name in (*self._angles.values(), "speed", "current")}
-        for recorded, speed, counts in self.records():
-            if not counts:
-                continue
+        sums = {name: _Sums() for name in (*self._angles.values(), "speed")}
+        squares = _Sums()
+
+        def take(recorded: Recorded, speed: float) -> None:
             theta = recorded["theta_true"]
             for channel in set(self._angles.values()):
                 sums[channel].add(_wrapped(theta - recorded[channel]))
             sums["speed"].add(recorded["omega_m"] / RPM - speed)
-            sums["current"].add(np.hypot(recorded["i_alpha_true"], recorded["i_beta_true"]))
+            alpha, beta = recorded["i_alpha_true"], recorded["i_beta_true"]
+            squares.add(alpha * alpha + beta * beta)
+
+        self.run(take)
         if self.fault:
             return {"tripped": 1.0}
         found = {
@@ -163,7 +167,7 @@ class Driven:
             for of, value in sums[channel].figures.items()
         }
         found |= {f"speed.{of}": sums["speed"].figures[of] for of in ("mean", "std")}
-        found |= {f"current.{of}": sums["current"].figures[of] for of in ("rms", "max")}
+        found |= {f"current.{of}": math.sqrt(squares.figures[mean]) for of, mean in (("rms", "mean"), ("max", "max"))}
         return found | {"tripped": 0.0}
 
 
