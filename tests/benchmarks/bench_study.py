@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -72,7 +73,7 @@ class Spread(NamedTuple):
     """Of rows over workers."""
 
     rate: float
-    """Rows a second, stored, once batches have their size."""
+    """Rows a second, stored, once each worker has loaded its kernels."""
     client: float
     """CPU time of the client a row, s."""
     memory: float
@@ -83,10 +84,12 @@ def spread(study: Study, workers: int, folder: Path) -> Spread:
     """All rows of a study over so many workers."""
     with Store(folder, study, identity()) as store, Cluster(workers, None, lambda text: None) as engine:
         begun, first, n, spent, memory = 0.0, 0, 0, 0.0, 0.0
+        came = Counter[str]()
         for done in engine.run(study.text, WORK, store.missing()):
             store.add(done.result, done.worker)
             n += len(done.rows)
-            if not begun and n >= AT_ONCE:  # kernels are loaded, and batches have their size
+            came[done.worker] += len(done.rows)
+            if not begun and len(came) == workers and min(came.values()) >= AT_ONCE:  # kernels are loaded everywhere
                 begun, first, spent = time.perf_counter(), n, time.process_time()
             if n == len(study):
                 rate = (n - first) / (time.perf_counter() - begun)
@@ -116,13 +119,14 @@ def rows(short: bool) -> Iterator[Row]:
         yield cost("a row of a study of it, CPU time", 1e3 * studied / n, "ms")
         yield Row("share of the simulation's speed", simulated / studied, "x", SHARE)
         if not short:
+            study = read_study(folder / "study.toml", samples=2 * n)
             one, two = (spread(study, workers, folder / f"{workers}.study") for workers in (1, 2))
+            more = spread(read_study(folder / "study.toml", samples=5 * n), 2, folder / "more.study")
             yield speed("rows with one worker", one.rate, "1/s")
             yield Row("two workers over one", two.rate / one.rate, "x", TWO)
-            yield cost("client, CPU a row", 1e3 * two.client, "ms")
-            yield Row("workers that one client can feed", studied / n / two.client, "")
-            yield Row("memory of client, scheduler and two workers after 1000 rows", two.memory, "MB", at_most=True)
-            more = spread(read_study(folder / "study.toml", samples=3 * n), 2, folder / "more.study")
-            yield Row("after 3000 rows, by it", more.memory / two.memory, "x", 1.1, at_most=True)
-            size = sum(file.stat().st_size for file in (folder / "more.study").glob("rows-*")) / (3 * n)
+            yield cost("client, CPU a row", 1e3 * more.client, "ms")
+            yield Row("workers that one client can feed", 1.0 / (one.rate * more.client), "")
+            yield Row("memory of client, scheduler and two workers after 2000 rows", two.memory, "MB", at_most=True)
+            yield Row("after 5000 rows, by it", more.memory / two.memory, "x", 1.1, at_most=True)
+            size = sum(file.stat().st_size for file in (folder / "more.study").glob("rows-*")) / (5 * n)
             yield Row("on disk, a row", size, "bytes", at_most=True)
