@@ -161,7 +161,7 @@ def lines(rows: Rows, about: About, found: Answers | None = None) -> list[str]:
 
 def yield_words(found: Yield) -> str:
     """A yield with its interval and its counts."""
-    name = f"{found.test}, {found.design}" if found.design else found.test
+    name = f"{found.test}{_in(found.design)}"
     n = found.passed + found.failed
     if found.share is None:
         return f"{name}: not known, none of {counted(found.unknown, 'drive')} passed or failed"
@@ -176,9 +176,15 @@ def unknown_words(found: Yield) -> str:
     return f"{found.unknown} unknown: {lo} if all of them fail, {hi} if they pass"
 
 
+def _in(design: str) -> str:
+    return f", {design}" if design else ""
+
+
 def _worst_line(found: Answers) -> list[str]:
     known = [each for each in found.worst if each.measurement][:1]
-    return [f"worst: {one.measurement} {figure(one.value)}, {one.limits}, {one.design}: {one.replay}" for one in known]
+    return [
+        f"worst: {one.measurement} {figure(one.value)}, {one.limits}{_in(one.design)}: {one.replay}" for one in known
+    ]
 
 
 def _strongest_line(found: Answers) -> list[str]:
@@ -187,7 +193,7 @@ def _strongest_line(found: Answers) -> list[str]:
         for each in found.sensitivity:
             if each.name == name and (index := each.strongest):
                 one = index.total or index.first
-                where, size = f"{index.input} on {name}, {each.design}", percent(one.value)
+                where, size = f"{index.input} on {name}{_in(each.design)}", percent(one.value)
                 return [f"most influential: {where}: {size} of its variance ({span(one, share=True)})"]
     why = [each.why or "none is seen to matter" for each in found.sensitivity][:1]
     return [f"most influential input: not known, {words}" for words in why]

@@ -83,6 +83,9 @@ def test_the_ten_lines_of_the_page_run(tmp_path: Path, monkeypatch: pytest.Monke
     run = CliRunner().invoke(cli, ["study", "run", "tolerances.toml", "--samples", "80", "--workers", "1"])
     assert run.exit_code == 0, run.output
     assert re.search(r"^fast: \d\d\.\d % pass \(.* … .* %\), \d+ of 80 drives$", run.stdout, re.M), run.stdout
+    assert re.search(r"^worst: fast\.vector_tracking\.rms [\d.]+, ≤ 3 deg: bench study replay ", run.stdout, re.M), (
+        run.stdout
+    )
     assert Path("tolerances.study/report.html").exists()
     for line in re.findall(r"^bench (study replay .*?)(?:  +#.*)?$", text, re.M):
         done = CliRunner().invoke(cli, shlex.split(line))
