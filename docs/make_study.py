@@ -69,7 +69,8 @@ def study(workers: int | None, samples: int | None = None, report: Path = REPORT
         for one in every["sensitivity"]
         if one["name"].endswith("control.rms")
     ]
-    return _rounded(keep | {"value_pairs": values, "sensitivity": indices})
+    rounded: dict[str, Any] = _rounded(keep | {"value_pairs": values, "sensitivity": indices})
+    return rounded
 
 
 VALUE = ("name", "a", "b", "unit", "n", "difference", "verdict")

@@ -213,8 +213,8 @@ def main() -> None:
     parts = given.parts or ["screen", "tune", "prove", "paper"]
     found = json.loads(given.file.read_text()) if given.file.exists() else {}
     if "paper" in parts:
-        with tempfile.TemporaryDirectory() as folder, Progress() as screen:
-            found["paper"] = list(paper.rows(given.folder or Path(folder), screen, time.monotonic))
+        with tempfile.TemporaryDirectory() as folder, Progress() as progress:
+            found["paper"] = list(paper.rows(given.folder or Path(folder), progress, time.monotonic))
     constants = Constants()
     for part in parts:
         if part == "paper":

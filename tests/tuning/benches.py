@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -56,7 +56,8 @@ class Drive(NamedTuple):
         """Size of the error of an estimate (n,) in a stretch, deg."""
         part = slice(stretch.begin, stretch.end)
         off = np.abs((np.degrees(self.theta[part] - theta[part]) + 180.0) % 360.0 - 180.0)
-        return np.minimum(np.nan_to_num(off, nan=LOST), LOST)
+        size: np.ndarray = np.minimum(np.nan_to_num(off, nan=LOST), LOST)
+        return size
 
     def errors(self, theta: np.ndarray) -> Iterator[tuple[str, float]]:
         """Of an estimate (n,): by stretch its rms error, of steps the largest; deg."""
@@ -78,7 +79,7 @@ class Recorder(Proving):
         self.thetas: list[np.ndarray] = []
         self.stretches: list[Stretch] = []
         file = BENCH_24V if name == "bench24v" else motors()[name]
-        changes = {} if kind == KIND or name == "bench24v" else unkind(load_params(file))
+        changes: dict[str, Any] = {} if kind == KIND or name == "bench24v" else dict(unkind(load_params(file)))
         changes = changes | (PULSED if kind == PULSES else {})
         self.rng = np.random.default_rng(seed)
         off = np.exp(OFF * self.rng.standard_normal(3) * (1.0, 1.0, 0.2))
