@@ -277,7 +277,7 @@ class Cluster:
         assert process.stdout
         if address := process.stdout.readline().decode().strip():
             return address
-        lines = Path(folder, "log").read_text(errors="replace").strip().splitlines() or ["it has ended"]
+        lines = Path(folder, "log").read_text("utf-8", "replace").strip().splitlines() or ["it has ended"]
         raise SchedulerLost(lines[-1])
 
 
