@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from pyarrow import parquet
+from pyarrow import csv, parquet
 
 from bench.errors import BenchError
 from bench.study.run import check
@@ -84,7 +84,7 @@ def test_measured_drives_come_from_a_table(tmp_path: Path, kind: str) -> None:
     if kind == "parquet":
         parquet.write_table(table, tmp_path / "halls.parquet")
     else:
-        pa.csv.write_csv(table, tmp_path / "halls.csv")
+        csv.write_csv(table, tmp_path / "halls.csv")
     text = TEN_LINES.replace('"hall.delta_deg" =', '"motor.L_d" =').replace("[-4, 4]", "[1e-4, 2e-4]")
     text += (
         f'[tables.halls]\nfile = "halls.{kind}"\ncolumns = {{ "hall.delta_deg_2" = "a", "hall.offset_deg" = "b" }}\n'
