@@ -26,8 +26,6 @@ DOCS = Path(__file__).parent
 PARTS = DOCS / "studies"
 STUDY = PARTS / "hall-placement.toml"
 NUMBERS, REPORT = PARTS / "hall-placement.json", PARTS / "hall-placement.html"
-BEST = "edge Kalman"
-"""The design whose measurements against the others are told."""
 
 
 class Screen:
@@ -64,12 +62,7 @@ def study(workers: int | None, samples: int | None = None, report: Path = REPORT
         every = answers(rows, told, found)
     keep = {name: every[name] for name in ("drives", "yields", "yield_pairs")}
     values = [{k: one[k] for k in VALUE} for one in every["value_pairs"] if ".control." in one["name"]]
-    indices = [
-        {"name": one["name"], "design": one["design"], "indices": one["indices"][:3]}
-        for one in every["sensitivity"]
-        if one["name"].endswith("control.rms")
-    ]
-    rounded: dict[str, Any] = _rounded(keep | {"value_pairs": values, "sensitivity": indices})
+    rounded: dict[str, Any] = _rounded(keep | {"value_pairs": values})
     return rounded
 
 
@@ -95,9 +88,7 @@ def page(numbers: dict[str, Any]) -> str:
     designs = list(dict.fromkeys(one["design"] for one in numbers["yields"]))
     tests = list(dict.fromkeys(one["test"] for one in numbers["yields"]))
     yields = {(one["test"], one["design"]): one for one in numbers["yields"]}
-    return environment.get_template("study.md.j2").render(
-        n=numbers, designs=designs, tests=tests, yields=yields, toml=STUDY.read_text()
-    )
+    return environment.get_template("study.md.j2").render(n=numbers, designs=designs, tests=tests, yields=yields)
 
 
 def share(found: dict[str, Any]) -> str:

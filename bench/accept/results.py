@@ -66,9 +66,7 @@ class Measurement:
         """Margin as a share of the width between the limits, or of the limit where there is one; None without."""
         if (margin := self.margin) is None:
             return None
-        lo, hi = self.nearest.lo, self.nearest.hi
-        width = hi - lo if lo is not None and hi is not None else abs(hi if hi is not None else lo or 0.0)
-        return margin / width if width else None
+        return margin / width if (width := self.nearest.width) else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,6 +79,21 @@ def viewer_option(words: str, *choices: str) -> Callable[[Command], Command]:
     return decorate
 
 
+def workers_options(function: Command) -> Command:
+    """`--workers` and `--cluster`: where many drives are computed. Both None: on all cores of this machine."""
+    cluster = click.option("--cluster", metavar="ADDRESS", callback=_one_place,
+                           help="A dask scheduler, as tcp://host:8786, instead of this machine.")  # fmt: skip
+    workers = click.option("--workers", metavar="N", type=click.IntRange(1, 1024), is_eager=True,
+                           help="Processes on this machine [default: one per core]; 1 needs no dask.")  # fmt: skip
+    return workers(cluster(function))
+
+
+def _one_place(context: click.Context, _parameter: click.Parameter, cluster: str | None) -> str | None:
+    if cluster is not None and context.params.get("workers") is not None:
+        raise click.UsageError("--workers is for this machine, --cluster for others: give one of them")
+    return cluster
+
+
 yes_option = click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
 
 

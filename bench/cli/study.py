@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from bench.cli.files import DIRECTORY, FILE, check_files, json_option, overwrite_option, write_json
+from bench.cli.options import workers_options
 from bench.cli.output import Progress
 from bench.cli.streams import echo, note
 from bench.errors import BenchError, ExitCode
@@ -35,9 +36,7 @@ def command() -> None:
 @click.argument("file", metavar="STUDY.toml", type=FILE)
 @click.option("--out", metavar="DIR", type=DIRECTORY, help="Folder for the rows [default: STUDY.study].")
 @click.option("--samples", metavar="N", type=click.IntRange(1), help="Drives, instead of what the file says.")
-@click.option("--workers", metavar="N", type=click.IntRange(1, 1024),
-              help="Processes on this machine [default: one per core]; 1 needs no dask.")  # fmt: skip
-@click.option("--cluster", metavar="ADDRESS", help="A dask scheduler, as tcp://host:8786, instead of this machine.")
+@workers_options
 @json_option("the answers")
 @overwrite_option
 def run_command(
@@ -49,8 +48,6 @@ def run_command(
     What is there is never computed again: after Ctrl-C, a crash or a power cut the same command goes on, and with more
     --samples it adds drives. The report is written to the study's folder.
     """
-    if workers is not None and cluster is not None:
-        raise click.UsageError("--workers is for this machine, --cluster for others: give one of them")
     check_files({"--json": json_file}, overwrite, [file])
     import time
 

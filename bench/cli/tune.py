@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from bench.cli.files import DIRECTORY, FILE, check_files, json_option, overwrite_option, write_json
+from bench.cli.options import workers_options
 from bench.cli.output import Progress
 from bench.cli.streams import echo, note
 from bench.files import STANDARD_OUTPUT
@@ -16,9 +17,7 @@ from bench.files import STANDARD_OUTPUT
 @click.argument("file", metavar="TUNE.toml", type=FILE)
 @click.option("--out", metavar="DIR", type=DIRECTORY, help="Folder for what is found [default: TUNE.tune].")
 @click.option("--trials", metavar="N", type=click.IntRange(1), help="Trials in all, instead of what the file says.")
-@click.option("--workers", metavar="N", type=click.IntRange(1, 1024),
-              help="Processes on this machine [default: one per core]; 1 needs no dask.")  # fmt: skip
-@click.option("--cluster", metavar="ADDRESS", help="A dask scheduler, as tcp://host:8786, instead of this machine.")
+@workers_options
 @json_option("what was found")
 @overwrite_option
 def command(
@@ -39,8 +38,6 @@ def command(
       bench tune observer.toml --trials 500
       bench sim --pty --config observer.tune/best-drive.toml
     """
-    if workers is not None and cluster is not None:
-        raise click.UsageError("--workers is for this machine, --cluster for others: give one of them")
     check_files({"--json": json_file}, overwrite, [file])
     import time
 

@@ -148,7 +148,7 @@ def read_settings(path: Path | None) -> Settings:
         load=load,
         person=rig.get("person", False),
         rated={key: float(value) for key, value in rated.items()},
-        limits={name: _limits(name, value, file) for name, value in data.get("limits", {}).items()},
+        limits={name: read_limits(name, value, str(file)) for name, value in data.get("limits", {}).items()},
     )
 
 
@@ -195,10 +195,11 @@ def _check(table: Mapping[str, Any], known: Mapping[str, type], prefix: str, fil
             raise BenchError(f"{prefix}{key} in {file} must be {word}, got {value!r}")
 
 
-def _limits(name: str, value: Any, file: Path) -> dict[str, float]:
+def read_limits(name: str, value: Any, where: str) -> dict[str, float]:
+    """Limits of a measurement as a TOML has them; BenchError for what are none."""
     if not isinstance(value, dict) or not value or not set(value) <= {"lo", "hi"}:
-        raise BenchError(f"limits.{name!r} in {file} must look like {{ lo = 0.0, hi = 1.0 }}, got {value!r}")
+        raise BenchError(f"limits.{name!r} in {where} must look like {{ lo = 0.0, hi = 1.0 }}, got {value!r}")
     for bound in value.values():
         if isinstance(bound, bool) or not isinstance(bound, int | float) or not math.isfinite(bound):
-            raise BenchError(f"limits.{name!r} in {file} must be finite numbers, got {bound!r}")
+            raise BenchError(f"limits.{name!r} in {where} must be finite numbers, got {bound!r}")
     return {key: float(bound) for key, bound in value.items()}

@@ -85,6 +85,12 @@ class Limits:
             distances.append(self.hi - value)
         return min(distances, default=None)
 
+    @property
+    def width(self) -> float:
+        """Between the limits, or the size of the one there is: what a margin is a share of."""
+        one = self.hi if self.hi is not None else self.lo or 0.0
+        return self.hi - self.lo if self.hi is not None and self.lo is not None else abs(one)
+
     def told(self, value: float) -> str:
         """`value` with its unit, to four digits; an answer in words."""
         if self.unit == YES_NO:

@@ -32,7 +32,7 @@ from bench.rig.settings import Settings
 from bench.signal.limits import Limits
 from bench.signal.verdict import Verdict
 from bench.study.recorded import recording
-from bench.study.study import ACCEPT, TURN, Experiment, Study
+from bench.study.study import ACCEPT, FUNCTION, TURN, Experiment, Study
 from protocol.errors import HbpError
 from sim.ports.direct import BenchParams, ConfigError, Course, Driven, measured_by, with_values
 
@@ -40,6 +40,7 @@ INPUT, MEASURED, VERDICT, WHY = "x.", "m.", "v.", "why."
 """What names of columns begin with: of inputs, measurements, verdicts of tests, and the reasons for these."""
 F64 = NDArray[np.float64]
 WHOLE = ("row", "sample", "repetition", "design", "seed")
+NO_ENDS = (None, None)
 TRIPPED = Limits("tripped", "", hi=0.0, about="the firmware has switched off")
 MOST_WHY = 200  # characters of a reason
 DRIVE = "drive.toml"
@@ -63,12 +64,12 @@ class Outcome:
         self.why |= other.why
 
     def judge(self, test: str, limits: Mapping[str, Limits]) -> None:
-        """The verdict of a test by the limits of what it measured; INVALID where that is not known."""
-        values = {name: self.measured.get(f"{test}.{name}", math.nan) for name in limits}
-        outside = [name for name, value in values.items() if not math.isnan(value) and not limits[name].allow(value)]
+        """The verdict of a test by the limits of TEST.MEASUREMENT; INVALID where one is not known."""
+        values = {name: self.measured.get(name, math.nan) for name, of in limits.items() if (of.lo, of.hi) != NO_ENDS}
         unknown = [name for name, value in values.items() if math.isnan(value)]
+        outside = [name for name, value in values.items() if name not in unknown and not limits[name].allow(value)]
         verdict = Verdict.FAIL if outside else Verdict.INVALID if unknown else Verdict.PASS
-        self.end(test, verdict, ", ".join(f"{name} = {values[name]:.4g}" for name in outside or unknown))
+        self.end(test, verdict, ", ".join(f"{limits[name].name} = {values[name]:.4g}" for name in outside or unknown))
 
     def end(self, test: str, verdict: Verdict, why: str = "") -> None:
         """A test ended like this."""
@@ -105,11 +106,29 @@ def _kind(name: str) -> Any:
 
 
 def row_of(study: Study, row: int, values: F64, save: Path | None = None) -> dict[str, Any]:
-    """A row by the names of its columns; `values` (inputs,) are its inputs, `save` as for `perform`."""
-    began, outcome = time.process_time(), Outcome()
-    for experiment in study.experiments:
-        outcome.add(perform(study, experiment, row, values.tolist(), save))
+    """A row by the names of its columns; `values` (inputs,) are its inputs.
+
+    `save`: a folder that gets what can be kept of what the drive does.
+    """
+    began = time.process_time()
+    try:
+        params = study.drive(row, values.tolist())
+    except ConfigError as error:  # such a drive cannot be: it says nothing of those that can
+        outcome = untested(study, Verdict.INVALID, f"no such drive: {error}")
+    else:
+        outcome, seed = Outcome(), study.noise(row)
+        for experiment in study.experiments:
+            outcome.add(PERFORM[experiment.kind](study, experiment, params, seed, save))
     return _row(study, row, values, outcome) | {"cpu_s": time.process_time() - began}
+
+
+def untested(study: Study, verdict: Verdict, why: str) -> Outcome:
+    """All tests of a study ended like this."""
+    outcome = Outcome()
+    for experiment in study.experiments:
+        for test in tests_of(study, experiment):
+            outcome.end(test, verdict, why)
+    return outcome
 
 
 def _row(study: Study, row: int, values: F64, outcome: Outcome) -> dict[str, Any]:
@@ -118,25 +137,6 @@ def _row(study: Study, row: int, values: F64, outcome: Outcome) -> dict[str, Any
     found |= {MEASURED + name: value for name, value in outcome.measured.items()}
     found |= {VERDICT + test: verdict.value for test, verdict in outcome.verdicts.items()}
     return found | {WHY + test: why for test, why in outcome.why.items()}
-
-
-def perform(
-    study: Study, experiment: Experiment, row: int, values: Sequence[float], save: Path | None = None
-) -> Outcome:
-    """One experiment on the drive of a row; `save`: a folder that gets what can be kept of it."""
-    try:
-        params = study.drive(row, values)
-    except ConfigError as error:  # such a drive cannot be: it says nothing of those that can
-        outcome = Outcome()
-        for test in tests_of(study, experiment):
-            outcome.end(test, Verdict.INVALID, f"no such drive: {error}")
-        return outcome
-    seed = study.noise(row)
-    if experiment.kind == TURN:
-        return _turned(experiment, params, seed, save)
-    if experiment.kind == ACCEPT:
-        return _accepted(experiment, params, seed, save)
-    return _by_function(experiment, params, seed, save)
 
 
 def tests_of(study: Study, experiment: Experiment) -> list[str]:
@@ -159,7 +159,7 @@ def _limits_of(text: bytes, name: str) -> dict[str, Limits]:
         return _declared(experiment, study)
     units = measured_by(course(experiment)) if experiment.kind == TURN else {}
     limits = {key: Limits(key, unit) for key, unit in units.items()}
-    limits |= {key: _limits(key, given, units.get(key, "")) for key, given in experiment.limits.items()}
+    limits |= {key: Limits(key, units.get(key, ""), **given) for key, given in experiment.limits.items()}
     if experiment.kind == TURN:
         if unknown := sorted(limits.keys() - units.keys()):
             raise BenchError(f"experiments.{name} measures no {unknown[0]}; it measures {', '.join(units)}")
@@ -170,10 +170,6 @@ def _limits_of(text: bytes, name: str) -> dict[str, Limits]:
 def limits_of(study: Study, experiment: Experiment) -> dict[str, Limits]:
     """Limits by TEST.MEASUREMENT on the nominal drive of the first design; of a course units of all it measures."""
     return _limits_of(study.text, experiment.name)
-
-
-def _limits(name: str, given: Mapping[str, float], unit: str = "") -> Limits:
-    return Limits(name, unit, given.get("lo"), given.get("hi"))
 
 
 # -- a course without a link ----------------------------------------------------------------------------------------
@@ -196,7 +192,7 @@ def run_in(save: Path, experiment: Experiment) -> Path:
     return save / f"{file_name(experiment.name)}{RUN}"
 
 
-def _turned(experiment: Experiment, params: BenchParams, seed: int, save: Path | None) -> Outcome:
+def _turned(study: Study, experiment: Experiment, params: BenchParams, seed: int, save: Path | None) -> Outcome:
     outcome, test = Outcome(), experiment.name
     try:
         driven = Driven(params, seed, course(experiment))
@@ -208,11 +204,10 @@ def _turned(experiment: Experiment, params: BenchParams, seed: int, save: Path |
             rig, file = connected(params, seed), run_in(save, experiment)
             driven.watch = stack.enter_context(recording(file, rig, driven.channels))
         outcome.measured = {f"{test}.{name}": value for name, value in driven.measure().items()}
-    limits = {name: _limits(name, given) for name, given in experiment.limits.items()}
     if driven.fault:
         outcome.end(test, Verdict.FAIL, f"the drive tripped: {driven.fault}")
     else:
-        outcome.judge(test, {"tripped": TRIPPED} | limits)
+        outcome.judge(test, limits_of(study, experiment))
     return outcome
 
 
@@ -279,9 +274,9 @@ def _declared(experiment: Experiment, study: Study) -> dict[str, Limits]:
     return screen.limits
 
 
-def _accepted(experiment: Experiment, params: BenchParams, seed: int, save: Path | None) -> Outcome:
+def _accepted(study: Study, experiment: Experiment, params: BenchParams, seed: int, save: Path | None) -> Outcome:
     outcome = Outcome()
-    result, _ = _accept(experiment, params, seed=seed, report=save and save / experiment.name)
+    result, _ = _accept(experiment, params, seed=seed, report=save and save / file_name(experiment.name))
     for test in result.tests:
         outcome.measured |= {one.name: one.value for one in test.measurements if one.value is not None}
         missed = ", ".join(f"{one.limits.name} = {one.value:.4g}" for one in test.measurements if one.failed)
@@ -308,7 +303,7 @@ def connected(params: BenchParams, seed: int, save: Path | None = None) -> Rig:
     return open_rig(SIM, Settings(), Envelope(), True, None, Recording(save), simulated)
 
 
-def _by_function(experiment: Experiment, params: BenchParams, seed: int, save: Path | None) -> Outcome:
+def _by_function(study: Study, experiment: Experiment, params: BenchParams, seed: int, save: Path | None) -> Outcome:
     outcome, test = Outcome(), experiment.name
     file, _, name = experiment.given["function"].partition(":")
     function = _function(file, name, experiment.given["sources"][file])
@@ -325,14 +320,15 @@ def _by_function(experiment: Experiment, params: BenchParams, seed: int, save: P
     except Exception as error:  # whatever another's code raises
         outcome.end(test, Verdict.ERROR, f"{type(error).__name__}: {error}")
     else:
-        outcome.judge(test, {key: _limits(key, given) for key, given in experiment.limits.items()})
+        outcome.judge(test, limits_of(study, experiment))
     return outcome
 
 
 def lost(study: Study, row: int, why: str) -> bytes:
     """A row that cannot be computed, as `compute` makes one: ERROR of each test."""
-    values, outcome = study.inputs([row])[0], Outcome()
-    for experiment in study.experiments:
-        for test in tests_of(study, experiment):
-            outcome.end(test, Verdict.ERROR, why)
-    return _stream([_row(study, row, values, outcome) | {"cpu_s": 0.0}])
+    outcome = untested(study, Verdict.ERROR, why)
+    return _stream([_row(study, row, study.inputs([row])[0], outcome) | {"cpu_s": 0.0}])
+
+
+PERFORM = {TURN: _turned, ACCEPT: _accepted, FUNCTION: _by_function}
+"""What is done in each kind of experiment."""

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
-from bench.study.variation import leaf, whole
+from bench.study.statistics import Estimate
+from bench.study.variation import leaf, put, whole
 from protocol.text import did_you_mean
 
 F64 = NDArray[np.float64]
@@ -100,21 +101,8 @@ def read_parameter(key: str, given: Any, figures: Mapping[str, Any], where: str,
 def with_parameters(figures: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
     """Overrides of a configuration, by dotted key, that put `values` in their places."""
     found: dict[str, Any] = {}
-    for key, value in values.items():
-        dotted, k, there = leaf(figures, key)
-        if k is None:
-            found[dotted] = value
-        else:
-            found.setdefault(dotted, list(there))[k] = value
+    put(values, figures, found)
     return found
-
-
-class Interval(NamedTuple):
-    """A difference, and the ends of its 95 % interval; NaN where the drives tell none."""
-
-    value: float
-    lo: float
-    hi: float
 
 
 @dataclass(frozen=True)
@@ -139,7 +127,7 @@ class Objective:
         """Over all drives; NaN where that is not known."""
         return float(self._figures(values[None])[0])
 
-    def difference(self, before: F64, after: F64) -> Interval:
+    def difference(self, before: F64, after: F64) -> Estimate:
         """Of the objective of two designs on the same drives, after less before: by resampling the drives.
 
         A largest value has no such interval, and a quantile has one only where enough drives lie beyond it.
@@ -148,14 +136,14 @@ class Objective:
         n = len(before)
         beyond = n * (100.0 - SHARES.get(self.over, 0.0)) / 100.0
         if self.over == MAX or n < FEWEST or beyond < BEYOND * (self.over in SHARES) or math.isnan(value):
-            return Interval(value, math.nan, math.nan)
+            return Estimate(value, math.nan, math.nan)
         drawn = np.random.default_rng(0).integers(0, n, (RESAMPLED, n))
         found = self._figures(after[drawn]) - self._figures(before[drawn])
         from scipy import stats
 
         tail = float(stats.norm.cdf(-math.sqrt(n / (n - 1)) * stats.t.ppf(0.975, n - 1)))  # Hesterberg 2015
         lo, hi = np.quantile(found, [tail, 1.0 - tail])
-        return Interval(value, float(lo), float(hi))
+        return Estimate(value, float(lo), float(hi))
 
     def _figures(self, values: F64) -> F64:
         """(times,) of values (times, drives, repetitions)."""

@@ -12,7 +12,7 @@ from bench.study.engine import Engine, Rate, open_engine
 from bench.study.experiments import course, limits_of, lost, test_of
 from bench.study.schedule import Crashed
 from bench.study.store import FOLDER, Store
-from bench.study.study import ACCEPT, TURN, Study, read_study
+from bench.study.study import TURN, Study, read_study
 from bench.study.worker import identity
 from protocol.text import counted
 from sim.ports.direct import ConfigError, Driven, with_values
@@ -81,7 +81,3 @@ def check(study: Study) -> None:
             except ConfigError as error:
                 where = f"experiments.{experiment.name}" + (f", design {design}" if design else "")
                 raise BenchError(f"{where}: {error}") from None
-        if experiment.kind == ACCEPT and not tests:
-            raise BenchError(
-                f"experiments.{experiment.name}: no acceptance test matches '{experiment.given['accept']}'"
-            )

@@ -1,7 +1,7 @@
 """The folder of a study: its text, and its rows as Parquet as they come. What is there is never computed again.
 
 NAME.study/study.json            all that rows depend on
-NAME.study/made_by.json          the program that has made them, see `bench.study.engine.identity`
+NAME.study/made_by.json          the program that has made them, see `bench.study.worker.identity`
 NAME.study/rows-000001.parquet   rows, in the order in which they came; a file is there when it is whole
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any, Self
 
@@ -25,7 +25,7 @@ from bench.study.rows import Rows
 from bench.study.sampling import RANDOM, SOBOL
 from bench.study.study import Study
 
-STUDY, MADE_BY = "study.json", "made_by.json"
+STUDY, MADE_BY, LOCK = "study.json", "made_by.json", ".lock"
 OURS = (STUDY, MADE_BY, "report.html")
 FOLDER = ".study"
 """How names of studies end, by custom."""
@@ -46,14 +46,7 @@ class Store:
         self.folder = folder
         self._made_by = dict(made_by)
         with ExitStack() as stack:
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                lock = FileLock(folder / ".lock")
-                stack.enter_context(lock.acquire(timeout=0))
-            except Timeout:
-                raise BenchError(f"{folder} is being written by another bench study") from None
-            except OSError as error:
-                raise BenchError(f"{folder} cannot be written: {error.strerror}") from None
+            stack.enter_context(locked(folder, "bench study"))
             if overwrite and (folder / STUDY).exists():
                 for file in [*folder.glob(FILES), *folder.glob(".*.part"), *(folder / name for name in OURS)]:
                     file.unlink(missing_ok=True)
@@ -80,7 +73,7 @@ class Store:
             if differ := [name for name in self._made_by if there.get(name) != self._made_by[name]]:
                 words = ", ".join(f"{name} {there.get(name, 'unknown')}, now {self._made_by[name]}" for name in differ)
                 raise BenchError(f"{self.folder} holds rows of another version ({words}): {ELSEWHERE}")
-        elif any(self.folder.iterdir()) and [found.name for found in self.folder.iterdir()] != [".lock"]:
+        elif any(self.folder.iterdir()) and [found.name for found in self.folder.iterdir()] != [LOCK]:
             raise BenchError(f"{self.folder} is there and holds no study: choose another name with --out")
         write(maker, json.dumps(self._made_by, indent=1) + "\n", str(maker))
         write(file, study.text, str(file))
@@ -125,6 +118,18 @@ class Store:
         self._next += 1
         for file in files:
             file.unlink()
+
+
+def locked(folder: Path, command: str) -> AbstractContextManager[object]:
+    """The folder, made where there is none, in which no other `command` writes meanwhile. BenchError if one does."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        held: AbstractContextManager[object] = FileLock(folder / LOCK).acquire(timeout=0)
+    except Timeout:
+        raise BenchError(f"{folder} is being written by another {command}") from None
+    except OSError as error:
+        raise BenchError(f"{folder} cannot be written: {error.strerror}") from None
+    return held
 
 
 def _plan(folder: Path) -> Mapping[str, Any]:

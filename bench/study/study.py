@@ -15,7 +15,6 @@ included. So any row can be computed anywhere, and again at any time.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import tomllib
@@ -27,6 +26,7 @@ from typing import Any
 
 from bench.device.simulator import configuration
 from bench.errors import BenchError
+from bench.rig.settings import read_limits
 from bench.signal.limits import Limits
 from bench.study.sampling import SAMPLINGS, SOBOL, Points, noise_seed
 from bench.study.variation import Variation, Varied, in_design, leaf, read_varied
@@ -67,9 +67,9 @@ class Experiment:
     """As the TOML has it; of `ACCEPT` and `FUNCTION` with the text of the files in `sources`, by name."""
 
     @property
-    def limits(self) -> Mapping[str, Mapping[str, float]]:
-        """By the name of a measurement."""
-        found: Mapping[str, Mapping[str, float]] = self.given.get("limits", {})
+    def limits(self) -> Mapping[str, Any]:
+        """`lo` and `hi` by the name of a measurement."""
+        found: Mapping[str, Any] = self.given.get("limits", {})
         return found
 
 
@@ -102,11 +102,6 @@ class Study:
         """All of it, as what is sent to workers and kept beside the rows."""
         return json.dumps(self.plan, separators=(",", ":"), allow_nan=True).encode()
 
-    @property
-    def number(self) -> str:
-        """What tells it from other studies."""
-        return hashlib.sha256(self.text).hexdigest()[:16]
-
     def __len__(self) -> int:
         """Rows."""
         return self.samples * self.repetitions * len(self.designs)
@@ -125,11 +120,10 @@ class Study:
         """(n, inputs) what is varied, of these rows."""
         return self.variation.of(self.points.of([self.place(row)[0] for row in rows]))
 
-    def drive(self, row: int, values: Sequence[float] | None = None) -> BenchParams:
-        """The drive of a row, whose inputs are `values` where they are known. ConfigError for one that cannot be."""
+    def drive(self, row: int, values: Sequence[float]) -> BenchParams:
+        """The drive of a row, whose inputs are `values`. ConfigError for one that cannot be."""
         design = self.designs[self.place(row)[2]]
         figures = self.figures[design]
-        values = self.inputs([row])[0].tolist() if values is None else values
         return with_values(figures, self.variation.changes(values, figures, design))
 
 
@@ -170,7 +164,7 @@ def study_of(data: Mapping[str, Any], path: Path) -> Study:
         raise BenchError(f"sampling in {where} is '{sampling}': {hint}")
     figures = _figures(data, path)
     base = next(iter(figures.values()))
-    varied = list(_read_vary(data, base, where))
+    varied = list(_read_vary(data, figures, where))
     varied += [_read_table(name, given, base, path) for name, given in data.get("tables", {}).items()]
     names = [name for one in varied for name in one.inputs]
     if double := sorted({name for name in names if names.count(name) > 1}):
@@ -236,16 +230,23 @@ def config_of(data: Mapping[str, Any], path: Path) -> Path | None:
     return config
 
 
-def _read_vary(data: Mapping[str, Any], figures: Mapping[str, Any], where: str) -> Iterator[Varied]:
+def _read_vary(data: Mapping[str, Any], figures: Mapping[str, Mapping[str, Any]], where: str) -> Iterator[Varied]:
     """The lines of [vary], and of those of designs, which stand in their place."""
     own = {design: changes.get(VARY, {}) for design, changes in data.get("designs", {}).items()}
     for key, given in data.get(VARY, {}).items():
-        others = tuple(design for design in own if key not in own[design])
-        yield replace(read_varied(key, given, figures, where), only=others if len(others) < len(own) else ())
+        others = tuple(design for design in figures if key not in own.get(design, {}))
+        made = read_varied(key, given, figures[(others or tuple(figures))[0]], where)
+        for design in others:
+            if read_varied(key, given, figures[design], where).base != made.base:
+                raise BenchError(
+                    f"vary.{key!r} in {where}: {key} is another in design '{design}': write [designs.{design}.{VARY}], "
+                    f"or leave it alone there"
+                )
+        yield replace(made, only=others if len(others) < len(figures) else ())
     for design, lines in own.items():
         _require(lines, dict, f"designs.{design}.{VARY}", where)
         for key, given in lines.items():
-            yield in_design(read_varied(key, given, figures, where), design)
+            yield in_design(read_varied(key, given, figures[design], where), design)
 
 
 def _read_table(name: str, given: Any, figures: Mapping[str, Any], path: Path) -> Varied:
@@ -318,7 +319,11 @@ def _experiment(name: str, given: Any, path: Path) -> dict[str, Any]:
     if kind == ACCEPT:
         made["tests"] = [str((path.parent / test).absolute()) for test in given.get("tests", [])]
     for measured, limits in made.get("limits", {}).items():
-        _check_limits(measured, limits, what)
+        ends = read_limits(measured, limits, what)
+        try:
+            Limits(measured, "", ends.get("lo"), ends.get("hi"))
+        except ValueError as error:
+            raise BenchError(f"{what}: {error}") from None
     return made
 
 
@@ -355,12 +360,3 @@ def _source(given: str, path: Path, what: str) -> str:
     except (SyntaxError, ValueError) as error:
         raise BenchError(f"{what}: {file} is no Python: {error}") from None
     return text
-
-
-def _check_limits(measured: str, limits: Any, what: str) -> None:
-    if not isinstance(limits, dict) or not limits or not set(limits) <= {"lo", "hi"}:
-        raise BenchError(f"{what}: limits.{measured!r} must look like {{ lo = 0.0, hi = 1.0 }}, got {limits!r}")
-    try:
-        Limits(measured, "", **limits)
-    except ValueError as error:
-        raise BenchError(f"{what}: {error}") from None

@@ -14,18 +14,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filelock import FileLock, Timeout
 
 from bench.errors import BenchError
 from bench.files import write
 from bench.rig.screen import Screen
 from bench.study.engine import Engine, Rate, open_engine
 from bench.study.experiments import MEASURED, VERDICT, WHY
-from bench.study.objectives import F64, LOST, YIELD, Interval, Objective
+from bench.study.objectives import F64, LOST, YIELD, Objective
 from bench.study.run import WORK, check, fill
 from bench.study.schedule import Crashed
 from bench.study.search import Search, Trial, front, imported, middle
-from bench.study.store import ELSEWHERE, STUDY, Store, table_in
+from bench.study.statistics import Estimate
+from bench.study.store import ELSEWHERE, LOCK, STUDY, Store, locked, table_in
 from bench.study.study import Study
 from bench.study.tune_file import Found, Plan, Tuned, read_tune
 from bench.study.tuned import write_results
@@ -34,7 +34,7 @@ from protocol.text import counted, did_you_mean
 from sim.ports.direct import ConfigError
 
 FOLDER = ".tune"
-PLAN, TRIALS, CHECK, LOCK = "tune-plan.json", "trials.log", "check.study", ".lock"
+PLAN, TRIALS, CHECK = "tune-plan.json", "trials.log", "check.study"
 RESULTS = ("tune.json", "trials.csv", "tune.png", "best.toml", "best-drive.toml")
 AS_IT_WAS = "as it was"
 MOST_POINTS = 12  # of a front that are checked
@@ -186,14 +186,7 @@ def tune(options: TuneOptions, screen: Screen, clock: Callable[[], float]) -> Tu
 
 def _begun(folder: Path, plan: Plan, overwrite: bool) -> Any:
     """The folder of this tune, locked."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / LOCK).acquire(timeout=0)
-    except Timeout:
-        raise BenchError(f"{folder} is being written by another bench tune") from None
-    except OSError as error:
-        raise BenchError(f"{folder} cannot be written: {error.strerror}") from None
-    file = folder / PLAN
+    lock, file = locked(folder, "bench tune"), folder / PLAN
     if overwrite:
         for name in (PLAN, TRIALS, *RESULTS):
             (folder / name).unlink(missing_ok=True)
@@ -268,7 +261,7 @@ def _check_recordings(tuned: Tuned) -> None:
 
 def compared(
     objectives: Sequence[Objective], before: Sequence[F64], after: Sequence[F64]
-) -> list[tuple[float, float, Interval, float]]:
+) -> list[tuple[float, float, Estimate, float]]:
     """For each objective: before, after, difference, share of drives that are better."""
     found = []
     for one, a, b in zip(objectives, before, after, strict=True):

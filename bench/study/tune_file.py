@@ -22,7 +22,6 @@ from bench.errors import BenchError
 from bench.study.experiments import course, limits_of, tests_of
 from bench.study.objectives import (
     F64,
-    Interval,
     Objective,
     Parameter,
     read_objectives,
@@ -30,6 +29,7 @@ from bench.study.objectives import (
     with_parameters,
 )
 from bench.study.search import Trial, batch_of
+from bench.study.statistics import Estimate
 from bench.study.study import FUNCTION, TURN, Study, config_of, read_toml, study_of
 from bench.study.worker import identity
 from protocol.text import did_you_mean
@@ -103,7 +103,7 @@ class Tuned:
     points: list[Trial]
     """The front; of one objective the best trial. Empty where none can be used."""
     best: Trial | None
-    checked: dict[int, list[tuple[float, float, Interval, float]]] = field(default_factory=dict)
+    checked: dict[int, list[tuple[float, float, Estimate, float]]] = field(default_factory=dict)
     """On other drives, by trial, for each objective: as it was, with the trial's parameters, difference, share of
     drives that are better."""
 
@@ -150,6 +150,8 @@ def read_tune(path: Path, trials: int | None = None) -> Plan:
     if not lines:
         raise BenchError(f'{where} tunes nothing: write [tune.parameters] with "KEY" = {{ range = [lowest, highest] }}')
     parameters = tuple(read_parameter(key, one, _base(study), where, study is not None) for key, one in lines.items())
+    if study is not None and (double := [one.key for one in parameters if one.key in study.variation.inputs]):
+        raise BenchError(f"{double[0]} in {where} is varied from drive to drive: it cannot be tuned as well")
     if study is None:
         objectives = [Objective(**{**asdict(one), "unit": "deg"}) for one in objectives]
         _require_settings(parameters, objectives, where)

@@ -98,7 +98,7 @@ def _in_words(tuned: Tuned, trial: Trial, k: int, objective: Objective) -> str:
     if math.isnan(change.lo):
         why = "a largest value has no interval" if objective.over == MAX else "too few for an interval of it"
         return f"{words} ({why}), better in {share:.0%}"
-    seen = "" if change.lo > 0.0 or change.hi < 0.0 else ": no difference seen"
+    seen = "" if change.certain else ": no difference seen"
     return f"{words} (95 %: {change.lo:+.3g} to {change.hi:+.3g}){seen}, better in {share:.0%}"
 
 

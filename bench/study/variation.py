@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
+from bench.files import leaves
 from protocol.text import did_you_mean
 
 F64 = NDArray[np.float64]
@@ -244,12 +245,9 @@ class Variation:
                 continue
             if one.lists:
                 found[one.key.partition(AT)[0]] = list(one.given[round(values[at])])
-            for name, value in () if one.lists else zip(one.inputs, values[at:], strict=False):
-                dotted, k, there = leaf(figures, name.partition(AT)[0])
-                if k is None:
-                    found[dotted] = whole(value) if isinstance(there, int) else value
-                else:
-                    found.setdefault(dotted, list(there))[k] = value
+            else:
+                told = {name.partition(AT)[0]: value for name, value in zip(one.inputs, values[at:], strict=False)}
+                put(told, figures, found)
         return found
 
 
@@ -258,6 +256,16 @@ def in_design(one: Varied, design: str) -> Varied:
     return replace(
         one, key=f"{one.key}{AT}{design}", inputs=tuple(f"{name}{AT}{design}" for name in one.inputs), only=(design,)
     )
+
+
+def put(values: Mapping[str, float], figures: Mapping[str, Any], found: dict[str, Any]) -> None:
+    """Put `values`, by the names of inputs, into `found`: what stands in the place of keys of `figures`."""
+    for name, value in values.items():
+        dotted, k, there = leaf(figures, name)
+        if k is None:
+            found[dotted] = whole(value) if isinstance(there, int) else value
+        else:
+            found.setdefault(dotted, list(there))[k] = value
 
 
 def whole(value: float) -> float | int:
@@ -282,21 +290,12 @@ def leaf(figures: Mapping[str, Any], name: str) -> tuple[str, int | None, Any]:
                 return f"{name[: -len(key)]}{stem}", int(number) - 1, there[stem]
         there = there.get(key) if isinstance(there, Mapping) else None
         if there is None:
-            known = list(keys(figures))
+            known = [dotted for dotted, _ in leaves(figures)]
             hint = did_you_mean(name, known, "bench sim --help names the file that has them all")
             raise BenchError(f"the configuration has no {name}: {hint}")
     if isinstance(there, Mapping):
         raise BenchError(f"{name} is a section: name one of {', '.join(f'{name}.{key}' for key in there)}")
     return name, None, there
-
-
-def keys(figures: Mapping[str, Any], above: str = "") -> Iterator[str]:
-    """Dotted keys of a configuration."""
-    for key, value in figures.items():
-        if isinstance(value, Mapping):
-            yield from keys(value, f"{above}{key}.")
-        else:
-            yield above + key
 
 
 def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) -> Varied:
@@ -313,9 +312,8 @@ def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) ->
             raise BenchError(f"{what} has an unknown '{option}': {hint}")
         if option in OPTIONS and not isinstance(value, OPTIONS[option]):
             raise BenchError(f"{what}: {option} must be {_form(OPTIONS[option])}, got {value!r}")
-    if unfit := sorted(
-        given.keys() & ({*OF_FOLLOWERS} - {"only"} if kind != "follows" else {*OPTIONS} - {*OF_FOLLOWERS})
-    ):
+    others = set(OF_FOLLOWERS) if kind != "follows" else set(OPTIONS) - set(OF_FOLLOWERS)
+    if unfit := sorted(given.keys() & others):
         raise BenchError(f"{what}: {unfit[0]} does not go with {kind}")
     dotted, k, there = leaf(figures, key)
     base = [there[k]] if k is not None else list(there) if isinstance(there, list | tuple) else [there]
@@ -329,6 +327,8 @@ def read_varied(key: str, given: Any, figures: Mapping[str, Any], where: str) ->
         raise BenchError(f"{what}: relative to a nominal value of 0 it would stay 0: leave out relative")
     values = given[kind]
     _check_values(kind, values, len(base), what)
+    if isinstance(base[0], int) and (kind != "choice" or relative):
+        raise BenchError(f"{what}: {key} is a whole number: give the ones to choose from, {{ choice = [4, 5] }}")
     if kind == "choice" and isinstance(values[0], list) and relative:
         raise BenchError(f"{what}: lists to choose from cannot be relative")
     within = _numbers(given.get("within", [-math.inf, math.inf]), f"{what}: within", 2, finite=False)

@@ -54,8 +54,7 @@ def margin_share(limits: Limits, values: F64) -> F64:
     if not sides:
         return np.full(len(values), np.nan)
     margin: F64 = np.minimum.reduce(sides)
-    width = hi - lo if lo is not None and hi is not None else abs(hi if hi is not None else lo or 0.0)
-    known: F64 = margin / width if width else np.copysign(np.inf, margin)
+    known: F64 = margin / width if (width := limits.width) else np.copysign(np.inf, margin)
     return np.where(margin == 0.0, np.nan, known)
 
 

@@ -99,6 +99,11 @@ class Driven:
                 raise ConfigError(f"speed {speed:g} r/min is above the {most:.4g} r/min of firmware.omega_m_max")
         if abs(course.load) > tau_max:
             raise ConfigError(f"load {course.load:g} N m is above load.tau_max = {tau_max:g} N m")
+        if round(course.seconds * params.clock.pwm_hz) <= round(course.settle * params.clock.pwm_hz):
+            raise ConfigError(
+                f"nothing is left to measure of {course.seconds:g} s, the first {course.settle:g} s of which do not "
+                f"count, at {params.clock.pwm_hz} Hz"
+            )
         self.watch: Callable[[Recorded], object] = lambda recorded: None
         """Gets all that is recorded, piece by piece."""
         control = int(bench.parameters["observer"])
@@ -108,10 +113,11 @@ class Driven:
 
     @property
     def channels(self) -> frozenset[str]:
-        """Channels of the observers whose errors are measured."""
-        return frozenset(name for each in self._course.observers for name in SOURCES[OBSERVERS[each]].channels)
+        """Channels of the observers whose errors are measured, the one in control among them."""
+        entries = [entry for entry in SOURCES.values() if next(iter(entry.channels)) in self._angles.values()]
+        return frozenset(name for entry in entries for name in entry.channels)
 
-    def run(self, take: Callable[[Recorded, float], None] = lambda recorded, speed: None) -> None:
+    def run(self, take: Callable[[Recorded, float], None]) -> None:
         """Run the course; `take` gets what is recorded and counts, piece by piece, with the speed asked for, r/min.
 
         It ends where the firmware switches off: `fault` says why then.

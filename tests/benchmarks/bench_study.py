@@ -51,8 +51,8 @@ AT_ONCE = 50
 def alone(study: Study, rows: range) -> float:
     """CPU time of the simulation of these drives, s."""
     spent = 0.0
-    for row in rows:
-        bench = SimulatedBench(study.drive(row), study.noise(row))
+    for row, values in zip(rows, study.inputs(rows).tolist(), strict=True):
+        bench = SimulatedBench(study.drive(row, values), study.noise(row))
         bench.set_param("observer", 2)
         bench.watch(frozenset({"theta_vt", "theta_ek"}))
         for state in (DriveState.ARMED, DriveState.RUNNING):

@@ -123,6 +123,20 @@ def test_the_recording_of_a_row_shows_what_was_measured(tmp_path: Path) -> None:
     assert len(whole.edges) > 80
 
 
+def test_the_recording_of_a_row_has_the_angle_in_control(tmp_path: Path) -> None:
+    """Also where it is one that is streamed on request alone, and no observer is named."""
+    text = 'samples = 1\n[set]\n"firmware.observer" = 10\n[experiments."fast, at last"]\nspeed = 1000\nseconds = 0.4\n'
+    made(tmp_path, text)
+    folder = run(StudyOptions(tmp_path / "study.toml", workers=1), Quiet(), float)
+    row, differences = replay(folder, 0, save=tmp_path / "row0")
+    assert not differences
+    (whole,) = list(bench.open(tmp_path / "row0" / "fast_at_last.run"))
+    late = whole.samples.tick >= 0.2 * whole.samples.config.tick_hz
+    off = whole["theta_true"][late] - whole["theta_ek"][late]
+    error = np.degrees(np.angle(np.exp(1j * off)))
+    assert row["m.fast, at last.control.rms"] == pytest.approx(np.sqrt((error**2).mean()), abs=0.006)
+
+
 def test_what_a_function_may_do_is_a_verdict(tmp_path: Path) -> None:
     texts = [f'[experiments.{name}]\nfunction = "mine.py:{name}"\n' for name in ("wrong", "refused", "failing")]
     text = "samples = 1\n" + "".join(texts) + '[experiments.measure]\nfunction = "mine.py:measure"\n'

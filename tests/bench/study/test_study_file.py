@@ -12,7 +12,7 @@ from pyarrow import csv, parquet
 from bench.errors import BenchError
 from bench.study.run import check
 from bench.study.study import Study, read_study
-from sim.config.params import load_params
+from sim.config.params import BenchParams, load_params
 
 TEN_LINES = """
 samples = 8
@@ -32,13 +32,16 @@ def written(folder: Path, text: str = TEN_LINES, name: str = "study.toml") -> Pa
     return file
 
 
+def drive_of(study: Study, row: int) -> BenchParams:
+    return study.drive(row, study.inputs([row])[0].tolist())
+
+
 def test_its_text_is_all_that_it_is(tmp_path: Path) -> None:
     study = read_study(written(tmp_path))
     again = Study.of(study.text)
     assert again.text == study.text
-    assert again.number == study.number
     assert np.array_equal(again.inputs(range(8)), study.inputs(range(8)))
-    assert again.drive(3) == study.drive(3)
+    assert drive_of(again, 3) == drive_of(study, 3)
 
 
 def test_rows_are_numbered_by_drive_repetition_and_design(tmp_path: Path) -> None:
@@ -48,13 +51,13 @@ def test_rows_are_numbered_by_drive_repetition_and_design(tmp_path: Path) -> Non
     assert [study.place(row) for row in (0, 1, 2, 6, 47)] == [(0, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 0), (7, 2, 1)]
     assert np.array_equal(study.inputs([12]), study.inputs([17]))  # one drive
     assert study.noise(12) == study.noise(13) != study.noise(14)
-    assert [study.drive(row).firmware.observer for row in (0, 1)] == [1, 2]
+    assert [drive_of(study, row).firmware.observer for row in (0, 1)] == [1, 2]
 
 
 def test_the_firmware_still_takes_the_motor_for_the_nominal_one(tmp_path: Path) -> None:
     study, nominal = read_study(written(tmp_path)), load_params()
     for row in range(8):
-        drive = study.drive(row)
+        drive = drive_of(study, row)
         assert drive.motor.R_s != nominal.motor.R_s
         assert drive.firmware == nominal.firmware
         assert drive.mechanics == nominal.mechanics
@@ -67,15 +70,26 @@ def test_a_design_may_vary_a_figure_otherwise(tmp_path: Path) -> None:
     text += '[designs.rough]\n[designs.exact.vary]\n"firmware.R_s_hat" = { follows = "motor.R_s" }\n'
     study = read_study(written(tmp_path, text))
     assert "firmware.R_s_hat@exact" in study.variation.inputs
-    rough, exact = ([study.drive(2 * k + design) for k in range(8)] for design in (0, 1))
+    rough, exact = ([drive_of(study, 2 * k + design) for k in range(8)] for design in (0, 1))
     assert [one.motor for one in rough] == [one.motor for one in exact]
     assert all(one.firmware.R_s_hat == one.motor.R_s for one in exact)
     assert all(one.firmware.R_s_hat != one.motor.R_s for one in rough)
 
 
+def test_a_figure_that_is_varied_is_not_another_in_a_design(tmp_path: Path) -> None:
+    """The design's own value would be lost, and a relative one be relative to another's."""
+    text = TEN_LINES + '[designs.a]\n[designs.b]\n"motor.R_s" = 0.3\n'
+    with pytest.raises(BenchError, match=r"motor.R_s is another in design 'b': write \[designs.b.vary\]"):
+        read_study(written(tmp_path, text))
+    text += '[designs.b.vary]\n"motor.R_s" = { normal = [1.0, 0.05], relative = true }\n'
+    study = read_study(written(tmp_path, text))
+    a, b = (np.mean([drive_of(study, row).motor.R_s for row in range(k, 16, 2)]) for k in (0, 1))
+    assert [a, b] == pytest.approx([0.158, 0.3], rel=0.05)
+
+
 def test_another_motor_is_the_nominal_one(tmp_path: Path) -> None:
     study = read_study(written(tmp_path, 'drive = "linix-45zwn24-40"\n' + TEN_LINES))
-    assert study.drive(0).motor.n_p == load_params(Path("sim/motors/linix-45zwn24-40.toml")).motor.n_p
+    assert drive_of(study, 0).motor.n_p == load_params(Path("sim/motors/linix-45zwn24-40.toml")).motor.n_p
 
 
 @pytest.mark.parametrize("kind", ["parquet", "csv"])
@@ -90,7 +104,7 @@ def test_measured_drives_come_from_a_table(tmp_path: Path, kind: str) -> None:
         f'[tables.halls]\nfile = "halls.{kind}"\ncolumns = {{ "hall.delta_deg_2" = "a", "hall.offset_deg" = "b" }}\n'
     )
     study = read_study(written(tmp_path, text))
-    seen = {(study.drive(row).hall.delta_deg[1], study.drive(row).hall.offset_deg) for row in range(8)}
+    seen = {(drive_of(study, row).hall.delta_deg[1], drive_of(study, row).hall.offset_deg) for row in range(8)}
     assert seen == {(1.0, 0.1), (2.0, 0.2), (3.0, 0.3)}
     with pytest.raises(BenchError, match="no column 'c'"):
         read_study(written(tmp_path, text.replace('"a"', '"c"')))
@@ -108,6 +122,7 @@ def test_measured_drives_come_from_a_table(tmp_path: Path, kind: str) -> None:
         ("samples = 8", 'drive = "no_such"', r"drive in .* is 'no_such': no file and no motor"),
         ("samples = 8", 'set = { "motor.R_s" = -1 }', r"set in .*R_s must be > 0 ohm, got -1"),
         ("samples = 8", "repetitions = 1000000000", r"has 100000000000 rows, more than"),
+        ("[vary]", '[vary]\n"motor.n_p" = { uniform = [4, 8] }', r"motor.n_p is a whole number: give the ones"),
         ("speed = 1000", "speed = [1, nan]", r"must be finite numbers"),
         ("speed = 1000", "sped = 1000", r"must have one of speed, accept, function"),
         ("speed = 1000", "speed = 1000\nseconds = 1\nsettle = 1", r"settle must be from 0 to less than seconds"),
@@ -140,6 +155,7 @@ def test_no_experiment_no_file_and_no_toml(tmp_path: Path) -> None:
     [
         ('"edge_kalman.rms"', '"edge_kalman.sd"', r"measures no edge_kalman.sd; it measures .*edge_kalman.std"),
         ("speed = 1000", "speed = 9000", r"speed 9000 r/min is above the 31\d\d r/min of firmware.omega_m_max"),
+        ("speed = 1000", "speed = 1000\nseconds = 1e-6", r"nothing is left to measure of 1e-06 s"),
         ("speed = 1000", "speed = 1000\nload = 50", r"load 50 N m is above load.tau_max"),
     ],
 )

@@ -225,6 +225,7 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
+        (K_P, "motor.psi_f", "motor.psi_f in .* is varied from drive to drive: it cannot be tuned as well"),
         ("trials = 6", "trails = 6", r"unknown key tune.trails in .*: did you mean trials\?"),
         ("trials = 6", "trials = 0", "tune.trials in .* must be at least 1, got 0"),
         ("trials = 6", "trials = 'many'", "tune.trials in .* cannot be 'many'"),
