@@ -8,11 +8,11 @@ from bench.device.heard import Chunk, Heard, Sink
 from bench.signal.chunks import join
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
-PERIOD = 0.5  # s of device time
+PERIOD = 0.2  # s of device time
 
 
 class Gathered:
-    """Sink that hands samples and edges on to `sinks` every 0.5 s, edges first, joined by stream; all else as it comes.
+    """Sink that hands samples and edges on to `sinks` every 0.2 s, edges first, joined by stream; all else as it comes.
 
     `flush` hands on what is held back: before something is asked of the sinks, or told to them.
     """
