@@ -46,7 +46,7 @@ class _Screen(Progress):
 @json_option("every result")
 @overwrite_option
 @click.option("--bench", "bench_toml", metavar="FILE", type=FILE,
-              help="Target, load and limits of this bench (default: ./bench.toml).")  # fmt: skip
+              help="Target, load and limits of this bench [default: bench.toml here or above].")  # fmt: skip
 @config_option
 @click.option("--operator", metavar="NAME", help="Who runs this, for the report.")
 @click.option("--motor", metavar="TEXT", help="Which motor this is, for the report: type and serial number.")

@@ -1,4 +1,4 @@
-"""`bench init`: finds a drive, asks what it cannot tell, writes a bench.toml."""
+"""`bench init`: finds a drive, asks about the bench, writes a bench.toml."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Read = TypeVar("Read")
 @click.option("--motor", metavar="TEXT", help="Which motor the drive has: type and serial number.")
 @overwrite_option
 def command(target: str | None, yes: bool, overwrite: bool, **given: Any) -> None:
-    """Find a drive, ask what it cannot tell, and write bench.toml into the present folder.
+    """Find a drive, ask about the bench, and write bench.toml into the present folder.
 
     Every command that is given no TARGET takes it from there, also in folders below. Energises nothing: only HELLO and
     questions are sent, and only to the port that was chosen. A serial port is tried at the usual rates.
@@ -67,7 +67,7 @@ def command(target: str | None, yes: bool, overwrite: bool, **given: Any) -> Non
         echo(line)
     answers = Questions(seen, given, person).answers()
     write(FILE, text(seen, answers, f"{datetime.now():%Y-%m-%d %H:%M}"), str(FILE))
-    echo(f"{FILE} written: bench info, live, hall and accept now take {seen.target}, unless they are given a target")
+    echo(f"{FILE} written: without TARGET, bench info, live, hall and accept now take {seen.target}")
     if other := os.environ.get(VARIABLE):
         note(f"${VARIABLE} is set, and goes before it: {other}")
 

@@ -1,1 +1,1 @@
-"""`bench init`: finds a drive, asks what it cannot tell, writes a bench.toml. Energises nothing."""
+"""`bench init`: finds a drive, asks about the bench, writes a bench.toml. Energises nothing."""

@@ -17,6 +17,7 @@ from bench.rig.ratings import RATING_PARAMETERS
 from bench.rig.settings import LOADS, Settings
 from bench.signal.channels import reference_angle
 from protocol.errors import NoReply, TargetError
+from protocol.links import Link
 from protocol.links.target import CanTarget, SerialTarget, Target, parse_target
 from protocol.messages import HelloReply, Role
 from protocol.text import either
@@ -63,9 +64,12 @@ def find(text: str, say: Callable[[str], None], choose: Choose) -> Seen:
             last = look_around(link, ANSWER if patience else 1.0, patience)
             if last.several:
                 raise SeveralDevices("; ".join(last.several))
-            if last.replies:
-                each = _of_a_drive(each, text, last, choose)
-                return _read(Client(link), SIM if each is None else str(each))
+            drive = _of_a_drive(each, text, last, choose) if last.replies else None
+            if last.replies and drive == each:
+                return _read(link, target)
+        if drive is not None:  # another node of this bus, which is the one that a new link leads to
+            with closing(open_target(str(drive), Settings())) as link:
+                return _read(link, str(drive))
         asked += [each]
     if last is None:
         raise refused or NoReply(f"nothing could be asked on {text}")
@@ -109,7 +113,8 @@ def _of_a_drive(target: Target | None, text: str, found: Found, choose: Choose) 
     return replace(target, node=drives[0] if len(drives) == 1 else choose(text, drives))
 
 
-def _read(client: Client, target: str) -> Seen:
+def _read(link: Link, target: str) -> Seen:
+    client = Client(link)
     drive = find_drive(client, target)
     client.listen(drive.number)
     load = second_node(client) if drive.number != 2 else None

@@ -28,10 +28,14 @@ from bench.device.ports import lasting
 from bench.init.bench_file import Answers, text
 from bench.init.search import RATES, Seen
 from bench.rig.settings import Settings, read_settings
+from protocol.canmap.frame import BusRates
+from protocol.canmap.host import CanWire
 from protocol.errors import TargetError
 from protocol.links import Link, parse_target
 from protocol.messages import Role
+from protocol.wire import HostWire
 from sim.ports.byte_ports import PtyPort
+from sim.ports.device import SimulatedDevice
 from tests.choice import sampled
 from tests.devices.serving import serving, twins
 
@@ -203,7 +207,7 @@ def test_where_nobody_answers_every_rate_was_tried_and_the_first_as_long_as_a_bo
 
 
 @pytest.mark.real_time
-@pytest.mark.slow
+@pytest.mark.long("starts a drive of its own")
 def test_the_rate_of_a_real_port_is_found(start_sim: Callable[..., Sim], capsys: pytest.CaptureFixture[str]) -> None:
     sim = start_sim("--pty", "--baud", "3000000")
     port, _, rate = sim.target.partition("?")
@@ -226,14 +230,37 @@ def test_two_drives_of_one_number_are_named(carrier: str, capsys: pytest.Capture
     assert not any(device.seen["ARM"] for device in devices)
 
 
+class OnABus(WatchedLink):
+    """Leads to the node that its target names, as a link to CAN does."""
+
+    def __init__(self, device: SimulatedDevice, target: str) -> None:
+        super().__init__(device)
+        self._node = parse_target(target).node  # type: ignore[attr-defined]
+
+    def wire(self) -> HostWire:
+        return CanWire(BusRates(1_000_000), self._node)
+
+
 def test_of_several_drives_on_a_bus_one_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     device = simulated(network="CAN")
     device.load.identity = replace(device.load.identity, role=Role.DRIVE)
-    with reached_by(lambda target: WatchedLink(device)):
+    with reached_by(lambda target: OnABus(device, target)):
         line = refused(capsys, "--target", "can:virtual/x")
-        said(capsys, "init", "--target", "can:virtual/x?node=1", "--yes")
+        for node, target, serial_number in ((1, "can:virtual/x", "SIM-0001"), (2, "can:virtual/x?node=2", "SIM-0002")):
+            said(capsys, "init", "--target", f"can:virtual/x?node={node}", "--yes", "--overwrite")
+            assert (read_settings(None).target, read_settings(None).load) == (target, "none")
+            assert f"serial {serial_number}, " in FILE.read_text().partition("target")[0]
     assert "nodes 1, 2 of can:virtual/x are drives: add node=N to the target" in line
-    assert (read_settings(None).target, read_settings(None).load) == ("can:virtual/x", "none")
+
+
+def test_the_only_drive_on_a_bus_is_taken_whatever_its_number(capsys: pytest.CaptureFixture[str]) -> None:
+    device = simulated(network="CAN")
+    device.drive.identity = replace(device.drive.identity, role=Role.LOAD)
+    device.load.identity = replace(device.load.identity, role=Role.DRIVE)
+    with reached_by(lambda target: OnABus(device, target)):
+        said(capsys, "init", "--target", "can:virtual/x", "--yes")
+    assert read_settings(None).target == "can:virtual/x?node=2"
+    assert "# Drive: load machine, firmware hallbench-sim, serial SIM-0002" in FILE.read_text()
 
 
 def test_what_is_no_drive_is_named(capsys: pytest.CaptureFixture[str]) -> None:
@@ -339,7 +366,7 @@ def test_a_port_is_named_by_what_stays_when_it_is_plugged_in_again(tmp_path: Pat
 
 
 @pytest.mark.real_time
-@pytest.mark.slow
+@pytest.mark.long("a dialogue with a program of its own")
 def test_a_person_is_asked_and_may_err() -> None:
     """A port that is not there, a load that is none, a current beyond the drive's: each is told, and asked again."""
     with serving("full", carrier="pty") as device:
