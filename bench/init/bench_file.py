@@ -61,7 +61,7 @@ def text(seen: Seen, answers: Answers, when: str) -> str:
         _line("person", answers.person, "whether somebody is there to turn knobs and pull wires when asked"),
         _line("encoder", answers.encoder, "false: none is mounted, whatever the drive tells", bool(seen.encoder)),
         "",
-        "[rated]  # the most that tests ask for, and the largest current of bench live, if less than the drive's own limits",
+        "[rated]  # the most that tests ask for, and the current of bench live, if less than the drive's own limits",
         *(_rated(key, answers.rated.get(key), most.get(key)) for key in WHICH),
         "",
         "# [limits]  # of measurements, by the names that bench accept --list shows",
