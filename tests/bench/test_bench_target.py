@@ -146,6 +146,7 @@ def test_completion_says_nothing_of_it(capsys: pytest.CaptureFixture[str], monke
     assert ("--json" in out, err) == (True, "")
 
 
+@pytest.mark.long("starts a drive, and turns another for a check")
 def test_the_simulated_drive_is_the_one_that_the_file_describes(capsys: pytest.CaptureFixture[str]) -> None:
     """Unless --config does; its largest phase current tells which it is."""
     for name, amperes in (("bench", 3.5), ("other", 2.5)):
