@@ -125,6 +125,7 @@ class Rig:
             self.client = Client(link, plan.reconnect, plan.private)
             self.client.on_reboot = self._rebooted.add
             node = plan.find(self.client, plan.target)
+            node.encoder = plan.settings.encoder
             self.drive = Drive(node, plan.envelope)
             if plan.goes_on:
                 self.drive.advice = ""  # nobody computes here
