@@ -1,13 +1,14 @@
 """The views of a run, as a rerun blueprint.
 
-First page: left, the last half minute (bands from minima and maxima); in the middle, every sample of the last moments;
-right, the stator plane, the run in words and its log. Second page: what the last second comes to. The same blueprint
-serves the live view and the file. A view that the run's channels cannot fill is left out. Nothing here logs data.
+First page: left, the last half minute (bands from minima and maxima); in the middle, the last electrical turn; right,
+the stator plane, the run in words and its log. Second page: what the last second comes to. The same blueprint serves
+the live view and the file, which has a third page: every sample of the last moments. A view that the run's channels
+cannot fill is left out. Nothing here logs data.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,11 +18,12 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from bench.record.info import Mark, RunInfo, ns_from_tick
 from bench.signal.colours import BAD, GROUND
-from bench.view import last_second, plane, schema
+from bench.view import last_second, plane, schema, scope
 from bench.view.extent import Extent
 from bench.view.last_second import LastSecond
 from bench.view.plane import Plane
 from bench.view.plots import LEGEND_SHARE, TREND, WAVE, Line, Plot, plots, returns
+from bench.view.scope import scopes
 from bench.view.states import drive_entity
 
 HALL = 0.1  # seconds that the Hall view shows
@@ -69,18 +71,16 @@ def blueprint(
         f"Drive, last {TREND:g} s" if whole is None else "Drive", drive_entity(run),
         trend or _span(TREND), None if whole is None else _wide(run, *whole),
     )  # fmt: skip
-    seconds = HALL if sector is None else min(MOST_HALL, max(LEAST_HALL, SECTORS_SHOWN * sector))
-    hall = _lanes(
-        f"Hall sensors and sector, last {seconds:.2g} s{', close-ups only' if coarse else ''}",
-        schema.HALL_LANES, _span(seconds + HALL_QUERIED), _span(seconds),
-    )  # fmt: skip
     second_page = _last_second(run, found, whole)
     apart = {"bus"} if second_page else set()
-    trends = _rows([p for key, p in found.items() if p.entity == schema.TREND and key not in apart], run, whole)
-    waves = _rows([plot for plot in found.values() if plot.entity == schema.FAST], run)
+    trends = [plot for key, plot in found.items() if plot.entity == schema.TREND and key not in apart]
+    turns = scopes(run)
+    hall: list[Shown] = (
+        [_scope(schema.SCOPE_HALL, "Hall sensors and sector"), *_returns(run, whole)] if run.hall else []
+    )
     columns = [
-        _column(trends, [states]),
-        _column(waves, [hall, *_returns(run, whole)] if run.hall else []),
+        _column(_rows(trends, [_view(plot, run, whole) for plot in trends]), [states]),
+        _column(_rows(turns.values(), [_scope(entity, plot.name) for entity, plot in turns.items()]), hall),
         _texts(Plane(run).contents),
     ]
     shares = [5, 5, 4.4]
@@ -91,9 +91,9 @@ def blueprint(
     )
     if marks:
         views = rrb.Vertical(views, _marked(run, marks), row_shares=[8, 1], name="Run")
-    return without_panels(
-        rrb.Tabs(views, second_page, active_tab=page) if second_page else views, play_state="following"
-    )
+    samples = None if whole is None else _samples(run, found, coarse, sector)
+    pages = [page for page in (views, second_page, samples) if page]
+    return without_panels(rrb.Tabs(*pages, active_tab=page) if len(pages) > 1 else views, play_state="following")
 
 
 def without_panels(views: Shown, **time: Any) -> rrb.Blueprint:
@@ -113,12 +113,26 @@ def _of_all(plot: Plot, close: float, extent: Extent | None) -> Plot:
     return replace(plot, name=f"{plot.name.rpartition(', last')[0]}, last {close:.2g} s", seconds=close)
 
 
-def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None = None) -> list[Shown]:
+def _rows(found: Collection[Plot], views: Sequence[Shown]) -> list[Shown]:
     """A column's plots from top to bottom; those for which there is no room share the last place, as tabs."""
     known = sum(not plot.by_unit for plot in found)
     room = max(ROWS, MOST_ROWS - known)
-    views: list[Shown] = [_view(plot, run, whole) for plot in found]
-    return views if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
+    return [*views] if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
+
+
+def _samples(run: RunInfo, found: Mapping[str, Plot], coarse: bool, sector: float | None) -> rrb.Container | None:
+    """The third page of a recording: its last moments over time, sample by sample; None where there is nothing."""
+    views: list[rrb.View] = [_view(plot, run, None) for plot in found.values() if plot.entity == schema.FAST]
+    if run.hall:
+        seconds = HALL if sector is None else min(MOST_HALL, max(LEAST_HALL, SECTORS_SHOWN * sector))
+        name = f"Hall sensors and sector, last {seconds:.2g} s{', close-ups only' if coarse else ''}"
+        views.append(_lanes(name, schema.HALL_LANES, _span(seconds + HALL_QUERIED), _span(seconds)))
+    return rrb.Grid(*views, grid_columns=min(3, len(views)), name="Samples") if views else None
+
+
+def _scope(entity: str, name: str) -> rrb.Spatial2DView:
+    """A close-up of the last turn, with the name of a plot."""
+    return _plane(f"{name.partition(', last')[0]}, last turn", entity, scope.X_RANGE, scope.Y_RANGE)
 
 
 def _returns(run: RunInfo, whole: tuple[int, int] | None) -> list[rrb.Container]:
@@ -129,7 +143,7 @@ def _returns(run: RunInfo, whole: tuple[int, int] | None) -> list[rrb.Container]
 
 
 def _column(rows: Sequence[Shown], lanes: Sequence[Shown]) -> rrb.Container | None:
-    """Plots, and below them timelines of states; None without either."""
+    """Plots, and below them states and what is counted; None without either."""
     shares = [3.0] * len(rows) + [2.7] * len(lanes)
     return rrb.Vertical(*rows, *lanes, row_shares=shares) if shares else None
 
