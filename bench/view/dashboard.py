@@ -8,7 +8,7 @@ cannot fill is left out. Nothing here logs data.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from bench.record.info import Mark, RunInfo, ns_from_tick
 from bench.signal.colours import BAD, GROUND
-from bench.view import last_second, plane, schema, scope
+from bench.view import last_second, plane, schema, scope_picture
 from bench.view.extent import Extent
 from bench.view.last_second import LastSecond
 from bench.view.plane import Plane
@@ -74,13 +74,9 @@ def blueprint(
     second_page = _last_second(run, found, whole)
     apart = {"bus"} if second_page else set()
     trends = [plot for key, plot in found.items() if plot.entity == schema.TREND and key not in apart]
-    turns = scopes(run)
-    hall: list[Shown] = (
-        [_scope(schema.SCOPE_HALL, "Hall sensors and sector"), *_returns(run, whole)] if run.hall else []
-    )
     columns = [
-        _column(_rows(trends, [_view(plot, run, whole) for plot in trends]), [states]),
-        _column(_rows(turns.values(), [_scope(entity, plot.name) for entity, plot in turns.items()]), hall),
+        _column(_rows(trends, run, whole), [states], 2.7 / 3.0),
+        _column(_turns(run), _returns(run, whole) if run.hall else [], 0.22),
         _texts(Plane(run).contents),
     ]
     shares = [5, 5, 4.4]
@@ -113,11 +109,21 @@ def _of_all(plot: Plot, close: float, extent: Extent | None) -> Plot:
     return replace(plot, name=f"{plot.name.rpartition(', last')[0]}, last {close:.2g} s", seconds=close)
 
 
-def _rows(found: Collection[Plot], views: Sequence[Shown]) -> list[Shown]:
+def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None) -> list[Shown]:
     """A column's plots from top to bottom; those for which there is no room share the last place, as tabs."""
     known = sum(not plot.by_unit for plot in found)
     room = max(ROWS, MOST_ROWS - known)
-    return [*views] if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
+    views: list[Shown] = [_view(plot, run, whole) for plot in found]
+    return views if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
+
+
+def _turns(run: RunInfo) -> list[Shown]:
+    """The last turn: one view, or several as tabs."""
+    views = []
+    for k, (entity, lanes) in enumerate(scopes(run).items()):
+        name = f"Last electrical turn, more {k}" if k else "Last electrical turn"
+        views.append(_plane(name, entity, scope_picture.X_RANGE, scope_picture.y_range(len(lanes))))
+    return [*views] if len(views) < 2 else [rrb.Tabs(*views, active_tab=0)]
 
 
 def _samples(run: RunInfo, found: Mapping[str, Plot], coarse: bool, sector: float | None) -> rrb.Container | None:
@@ -130,11 +136,6 @@ def _samples(run: RunInfo, found: Mapping[str, Plot], coarse: bool, sector: floa
     return rrb.Grid(*views, grid_columns=min(3, len(views)), name="Samples") if views else None
 
 
-def _scope(entity: str, name: str) -> rrb.Spatial2DView:
-    """A close-up of the last turn, with the name of a plot."""
-    return _plane(f"{name.partition(', last')[0]}, last turn", entity, scope.X_RANGE, scope.Y_RANGE)
-
-
 def _returns(run: RunInfo, whole: tuple[int, int] | None) -> list[rrb.Container]:
     """Bounces and pulses of the Hall sensors, side by side: there is room for legends of three lines."""
     queried, shown = (_span(TREND), _span(TREND)) if whole is None else (_ticks(run, *whole), _wide(run, *whole))
@@ -142,9 +143,9 @@ def _returns(run: RunInfo, whole: tuple[int, int] | None) -> list[rrb.Container]
     return [rrb.Horizontal(*views)] if views else []
 
 
-def _column(rows: Sequence[Shown], lanes: Sequence[Shown]) -> rrb.Container | None:
-    """Plots, and below them states and what is counted; None without either."""
-    shares = [3.0] * len(rows) + [2.7] * len(lanes)
+def _column(rows: Sequence[Shown], lanes: Sequence[Shown], share: float) -> rrb.Container | None:
+    """Views, and below them lanes or counts, of which each is `share` times as high as one of them; None without."""
+    shares = [1.0] * len(rows) + [share] * len(lanes)
     return rrb.Vertical(*rows, *lanes, row_shares=shares) if shares else None
 
 

@@ -67,8 +67,8 @@ class Line:
 
     def of(self, values: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
         """What it shows, (n,), of values (n,) by quantity. Raises KeyError without it."""
-        shown: NDArray[Any] = values[self.quantity] * np.float32(self.factor)
-        return shown
+        value = values[self.quantity]
+        return value if self.factor == 1.0 else value * np.float32(self.factor)
 
 
 @dataclass(frozen=True)

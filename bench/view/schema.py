@@ -39,9 +39,8 @@ VECTORS = "stator/vectors"
 LEGEND = f"{VECTORS}/legend"
 RUN_TEXT = "run"  # who is tested and what was lost so far, once a second; at the end the summary
 
-# close-ups of the last turn
+# the last turn
 SCOPE = "scope"
-SCOPE_HALL = f"{SCOPE}/hall"
 
 # of the last second
 BY_ANGLE = "by_angle"  # mean position errors over the electrical angle, by estimate

@@ -24,7 +24,7 @@ FOLLOWED = math.pi / 2  # electrical rad from sample to sample, above which an a
 MOST = 100_000  # samples, and edges, that are kept
 REST = 1.0  # s, in which a shaft goes on by less than a sector if it rests
 BY_HALL = "Hall edges"
-GAP, NO_ANGLE = "samples are missing", "no angle and no Hall edge"
+GAP, NO_ANGLE = "samples are missing", "neither an angle nor a Hall edge"
 NOT_FINITE = "the angle is not a finite number"
 AT_REST, SLOW = "at rest", "a turn takes longer"
 
