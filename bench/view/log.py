@@ -294,16 +294,10 @@ class RunLog:
         self._send_lot()
 
     def _send_lot(self) -> None:
-        """Log what was held since the last time.
-
-        The Hall codes go first: a viewer that draws between two messages follows the newest one, and a window of 25 ms
-        would be all beyond the newest code.
-        """
-        held, self._held = self._held, {}
+        """Log what was held since the last time."""
         t_ns, codes = self._hall.take()
         if len(t_ns):
             self._send(schema.HALL_LANES, t_ns, {_STATE: states.HALL_WORDS.take(pa.array(codes))})
-        self._held |= held
         self._send_pictures()
         for (entity, *_), batches in self._held.items():
             for batch in pa.Table.from_batches(batches).combine_chunks().to_batches() if len(batches) > 1 else batches:
