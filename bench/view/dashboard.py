@@ -1,9 +1,9 @@
 """The views of a run, as a rerun blueprint.
 
-First page: left, the last half minute (bands from minima and maxima); in the middle, the last electrical turn; right,
-the stator plane, the run in words and its log. Second page: what the last second comes to. The same blueprint serves
-the live view and the file, which has a third page: every sample of the last moments. A view that the run's channels
-cannot fill is left out. Nothing here logs data.
+First page: left, the last half minute (bands from minima and maxima); in the middle, the last electrical
+revolution; right, the stator plane, the run in words and its log. Second page: what the last second comes to. The same
+blueprint serves the live view and the file, which has a third page: every sample of the last moments. A view that the
+run's channels cannot fill is left out. Nothing here logs data.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def blueprint(
     trends = [plot for key, plot in found.items() if plot.entity == schema.TREND and key not in apart]
     columns = [
         _column(_rows(trends, run, whole), [states], 2.7 / 3.0),
-        _column(_turns(run), _returns(run, whole) if run.hall else [], 0.22),
+        _column(_revolutions(run), _returns(run, whole) if run.hall else [], 0.22),
         _texts(Plane(run).contents),
     ]
     shares = [5, 5, 4.4]
@@ -117,11 +117,11 @@ def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None) ->
     return views if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
 
 
-def _turns(run: RunInfo) -> list[Shown]:
-    """The last turn: one view, or several as tabs."""
+def _revolutions(run: RunInfo) -> list[Shown]:
+    """The last revolution: one view, or several as tabs."""
     views = []
     for k, (entity, lanes) in enumerate(scopes(run).items()):
-        name = f"Last electrical turn, more {k}" if k else "Last electrical turn"
+        name = f"Last electrical revolution, more {k}" if k else "Last electrical revolution"
         views.append(_plane(name, entity, scope_picture.X_RANGE, scope_picture.y_range(len(lanes))))
     return [*views] if len(views) < 2 else [rrb.Tabs(*views, active_tab=0)]
 

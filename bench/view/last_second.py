@@ -26,7 +26,7 @@ from bench.signal.waveforms.harmonics import ORDER, PERIODS
 from bench.signal.waveforms.sectors import NUMERALS, edge_angle, edge_passages, hall_offset
 from bench.view import markdown, schema
 from bench.view.plane import FAINT, circle
-from bench.view.turns import too_fast
+from bench.view.revolutions import too_fast
 from protocol.streams import EdgeChunk, SampleChunk
 
 SPAN = 1.0  # s

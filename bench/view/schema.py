@@ -39,7 +39,7 @@ VECTORS = "stator/vectors"
 LEGEND = f"{VECTORS}/legend"
 RUN_TEXT = "run"  # who is tested and what was lost so far, once a second; at the end the summary
 
-# the last turn
+# close-ups of the last electrical revolution
 SCOPE = "scope"
 
 # of the last second

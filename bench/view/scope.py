@@ -1,8 +1,8 @@
-"""Close-ups that stand still: the last whole electrical turn over the electrical angle, the one before it pale.
+"""Close-ups that stand still: the last whole electrical revolution over the angle, the one before it pale.
 
 They are logged as a whole a few times a second: a viewer shows the newest, and no window of time moves. Before the
-first turn, and without an angle, they show the last moments over time. The words above say which turn or moments that
-is, and why there is none since.
+first revolution, and without an angle, they show the last moments over time. The words above say which of both that
+is, of when, and why there is nothing since.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from bench.view import schema
 from bench.view import scope_picture as draw
 from bench.view.plane import FAINT
 from bench.view.plots import POINTS, WAVE, Plot, plots
+from bench.view.revolutions import REST, Look, Revolution, Revolutions
 from bench.view.scope_picture import PITCH, Picture, Range, Ticks
 from bench.view.states import HALL_COLOURS, HIGH, ILLEGAL, NO_EDGE
-from bench.view.turns import REST, Look, Turn, Turns
 from protocol.signals import Flag
 from protocol.streams import EdgeChunk, SampleChunk
 
@@ -66,25 +66,25 @@ class Scope:
         self._names = sorted({line.quantity for plot in self._plots.values() for line in plot.lines})
         self._wraps = {channel.name for channel in run.channels if channel.flags & Flag.WRAPS}
         self._period = max(PERIOD, len(self._scopes) / MOST_MESSAGES)
-        self._turns = Turns(run)
+        self._revolutions = Revolutions(run)
         self.restart()
 
     def restart(self) -> None:
         """Start anew: the drive has rebooted."""
-        self._turns.restart()
+        self._revolutions.restart()
         self._ranges: dict[str, tuple[Range, float]] = {}  # and until when it may be wider than needed
-        self._held: Pictures = {}  # of the last turn
+        self._held: Pictures = {}  # of the last revolution
         self._words = ""
-        self._end = self._logged = self._next = -math.inf  # s: of that turn; when it was logged; when it is time again
+        self._end = self._logged = self._next = -math.inf  # s: of it; when it was logged; when it is time
 
     def samples(self, chunk: SampleChunk, values: Mapping[str, Values]) -> None:
         """Take samples and their `values`, (n,) each, see `Line.quantity`."""
         self._seconds = max(WAVE, POINTS * chunk.config.decimation / self._run.pwm_hz)
-        self._turns.samples(chunk, values)
+        self._revolutions.samples(chunk, values)
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Take Hall edges."""
-        self._turns.edges(chunk)
+        self._revolutions.edges(chunk)
 
     def frame(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield entity and static content: how lines and texts look, legends, and names of lanes."""
@@ -106,14 +106,14 @@ class Scope:
 
     def pictures(self) -> tuple[int, Pictures] | None:
         """The tick of the newest sample, and the close-ups, if it is time for them."""
-        newest = self._turns.newest
+        newest = self._revolutions.newest
         if newest is None or (now := newest / self._run.tick_hz) < self._next:
             return None
         self._next = now + self._period
-        look = self._turns.look()
-        if look.turns and (end := self._times(look, look.turns[-1])[1]) > self._end:
+        look = self._revolutions.look()
+        if look.whole and (end := self._times(look, look.whole[-1])[1]) > self._end:
             self._end, self._logged = end, now
-            self._held = self._of_turns(look)
+            self._held = self._of_revolutions(look)
             return newest, self._held
         if not self._held:
             return newest, self._of_moments(look)
@@ -124,49 +124,52 @@ class Scope:
 
     def left_out(self) -> tuple[int, Pictures] | None:
         """The same, where samples are left out from here on."""
-        newest = self._turns.newest
+        newest = self._revolutions.newest
         return None if newest is None else (newest, self._stale("samples are left out"))
 
     def _stale(self, why: str) -> Pictures:
-        words = f"{self._words}\nno whole turn since: {why}"
+        words = f"{self._words}\nno whole revolution since: {why}"
         return {entity: picture.told(words) for entity, picture in self._held.items()}
 
-    def _of_turns(self, look: Look) -> Pictures:
-        """The last turns over the angle."""
-        begin, end = self._times(look, look.turns[-1])
-        hertz = (look.turns[-1].end - look.turns[-1].begin) / (end - begin)
-        speed = f"{hertz * math.tau / (RPM * self._run.n_p):.0f} r/min" if self._run.n_p else f"{hertz:.3g} Hz"
-        self._words = f"turn of {begin:.3f} s, {1e3 * (end - begin):.3g} ms, {speed}, angle by {look.source}"
-        more = "pale: the whole turn before" if len(look.turns) > 1 else "no whole turn before it"
-        return self._drawn([self._part(look, turn) for turn in look.turns], draw.DEGREES, f"{self._words}\n{more}")
+    def _of_revolutions(self, look: Look) -> Pictures:
+        """The last revolutions over the angle."""
+        begin, end = self._times(look, look.whole[-1])
+        hertz = (look.whole[-1].end - look.whole[-1].begin) / (end - begin)
+        speed = (
+            f"{hertz * math.tau / (RPM * self._run.n_p):.0f} r/min" if self._run.n_p else f"{hertz:.3g} Hz electrical"
+        )
+        speed = speed.replace("-", "−")
+        self._words = f"revolution of {begin:.3f} s, {1e3 * (end - begin):.3g} ms, {speed}, angle by {look.source}"
+        more = "pale: the one before" if len(look.whole) > 1 else "none before it"
+        return self._drawn([self._part(look, one) for one in look.whole], draw.DEGREES, f"{self._words}\n{more}")
 
     def _of_moments(self, look: Look) -> Pictures:
         """The last moments over time."""
         span = self._seconds * self._run.tick_hz
         first = int(np.searchsorted(look.tick, look.tick[-1] - span))
         x = 1.0 + (look.tick[first:] - look.tick[-1]) / span
-        part = _Part(x, look.tick[first:], self._turns.values(self._names, first, None))
+        part = _Part(x, look.tick[first:], self._revolutions.values(self._names, first, None))
         ticks = tuple((k / 4, f"{self._seconds * (k / 4 - 1):.3g} s".replace("-", "−")) for k in range(4))
-        words = f"the last {self._seconds:.3g} s over time\nno whole turn yet: {look.why}"
+        words = f"the last {self._seconds:.3g} s over time\nno whole revolution yet: {look.why}"
         return self._drawn([part], (*ticks, (1.0, "0 s")), words)
 
-    def _times(self, look: Look, turn: Turn) -> tuple[float, float]:
-        """When a turn began and ended, s."""
+    def _times(self, look: Look, one: Revolution) -> tuple[float, float]:
+        """When a revolution began and ended, s."""
         found = []
-        for row, angle in ((turn.first, turn.begin), (turn.stop, turn.end)):
+        for row, angle in ((one.first, one.begin), (one.stop, one.end)):
             share = _share(look.angle, row, angle)
             found.append((look.tick[row - 1] + share * (look.tick[row] - look.tick[row - 1])) / self._run.tick_hz)
         return float(found[0]), float(found[1])
 
-    def _part(self, look: Look, turn: Turn) -> _Part:
-        """The samples of a turn, between what lies at its begin and its end; of angles that wrap what is next to it."""
-        rows = slice(turn.first - 1, turn.stop + 1)
-        x = np.clip(look.angle[rows] - min(turn.begin, turn.end), 0.0, 1.0)
-        values = self._turns.values(self._names, rows.start, rows.stop)
+    def _part(self, look: Look, one: Revolution) -> _Part:
+        """The samples of one, between what lies at its begin and at its end; of angles that wrap what is next to that."""
+        rows = slice(one.first - 1, one.stop + 1)
+        x = look.angle[rows] - min(one.begin, one.end)
+        values = self._revolutions.values(self._names, rows.start, rows.stop)
         for name, value in values.items():
             wraps = name in self._wraps
-            first = 1.0 if wraps else _share(look.angle, turn.first, turn.begin)
-            last = 0.0 if wraps else _share(look.angle, turn.stop, turn.end)
+            first = 1.0 if wraps else _share(look.angle, one.first, one.begin)
+            last = 0.0 if wraps else _share(look.angle, one.stop, one.end)
             value[0] += first * (value[1] - value[0])
             value[-1] = value[-2] + last * (value[-1] - value[-2])
         return _Part(x, look.tick[rows], values)
@@ -188,7 +191,10 @@ class Scope:
 
     def _draw_plot(self, picture: Picture, foot: float, plot: Plot, parts: Sequence[_Part]) -> list[str]:
         """Draw the lines of a plot; those are returned that are not finite everywhere."""
-        lines = [draw.thinned(part.x, np.stack([line.of(part.values) for line in plot.lines])) for part in parts]
+        lines = [
+            draw.thinned(part.x.clip(0.0, 1.0), np.stack([line.of(part.values) for line in plot.lines]))
+            for part in parts
+        ]
         finite = [np.isfinite(y) for _, y in lines]
         known = np.concatenate([y[good] for (_, y), good in zip(lines, finite, strict=True)])
         low, high, step = self._range(plot, draw.needed(plot, known))
@@ -210,17 +216,17 @@ class Scope:
 
     def _draw_hall(self, picture: Picture, foot: float, parts: Sequence[_Part]) -> None:
         """Draw the levels of the sensors, and the sectors of the newest part."""
-        tick, old, new = self._turns.hall()
+        tick, old, new = self._revolutions.hall()
         top = foot - 1.0
         for part in parts:
             newest = part is parts[-1]
             a, b = np.searchsorted(tick, (part.tick[0], part.tick[-1]), side="right")
-            code = int(new[a - 1]) if a else int(old[a]) if a < b else self._turns.code
+            code = int(new[a - 1]) if a else int(old[a]) if a < b else self._revolutions.code
             if code is None:
                 picture.texts.append(((draw.WIDE / 2, top + sum(SECTOR) / 2), NO_EDGE))
                 continue
             codes = np.concatenate([[code], new[a:b]]).astype(np.uint8) & 7
-            x = np.concatenate([part.x[:1], np.interp(tick[a:b], part.tick, part.x), part.x[-1:]])
+            x = np.concatenate([part.x[:1], np.interp(tick[a:b], part.tick, part.x), part.x[-1:]]).clip(0.0, 1.0)
             colour = HALL_COLOURS[HIGH] if newest else draw.pale(HALL_COLOURS[HIGH])
             y = top + np.array(FEET)[:, None] + RISE * (1 - (codes >> np.arange(3)[:, None] & 1))
             picture.strips.extend((strip, colour) for strip in draw.strips(np.repeat(x, 2)[1:-1], y.repeat(2, axis=1)))
@@ -233,7 +239,7 @@ class Scope:
 
 
 class _Part(NamedTuple):
-    """Samples at places `x` of the axis and at these ticks, (n,), and their values, (n,) each."""
+    """Samples at places `x` of the axis, beside which the first and the last may lie, and at these ticks, (n,) each."""
 
     x: F64
     tick: NDArray[np.int64]

@@ -32,7 +32,7 @@ WIDE, PITCH = 4.4, 1.36  # of a lane, and from lane to lane
 X_RANGE = (-1.3, WIDE + 0.45)
 ABOVE, BELOW = 0.72, 0.3  # room for words above the lanes, and for the axis below
 BINS = 256  # of a line with more points: least and most of each
-PALE = 0.45  # share of its colour that the turn before keeps
+PALE = 0.45  # share of its colour that the one before keeps
 LEVELS = 3.3  # of a lane, about
 _DROP = 0.1  # by which rerun draws a text below its place, about
 _GRID: RGB = (38, 40, 42)
@@ -143,7 +143,7 @@ def needed(plot: Plot, known: Values) -> Range:
 
 
 def pale(colour: RGB) -> RGB:
-    """The colour of the turn before where that of the newest is `colour`."""
+    """The colour of the one before where that of the newest is `colour`."""
     red, green, blue = (round(ground + PALE * (part - ground)) for part, ground in zip(colour, GROUND, strict=True))
     return red, green, blue
 

@@ -30,7 +30,7 @@ from tests.viewers import TIMEOUT, HeadlessViewer, headless
 
 pytestmark = [pytest.mark.long("rerun's viewer draws in software")]
 
-TURN = "Last electrical turn"
+CLOSE_UP = "Last electrical revolution"
 SPEEDS = (0, 100, 1000, 3000)  # r/min
 SECONDS = {100: 3.0}
 BESIDE_LEGENDS = 0.38  # of a view's width, from where on it is looked at
@@ -104,8 +104,8 @@ def test_every_plot_of_the_first_page_shows_data(turning: tuple[int, Path], tmp_
         assert drawn.shows("Drive", [GOOD if speed else QUIET])
         assert drawn.shows("Stator plane", [info.colours["theta_enc"]], 0.5)
         for plot in (plots(info)[key] for key in CLOSE_UPS):
-            assert drawn.shows(TURN, [line.colour for line in plot.lines], BESIDE_LEGENDS), plot.name
-        assert drawn.shows(TURN, [(150, 150, 150)], BESIDE_LEGENDS)
+            assert drawn.shows(CLOSE_UP, [line.colour for line in plot.lines], BESIDE_LEGENDS), plot.name
+        assert drawn.shows(CLOSE_UP, [(150, 150, 150)], BESIDE_LEGENDS)
         assert drawn.shows("Losses; summary at the end", [TEXT])
         assert seen(drawn.picture("Drive"), BAD, 0.0) == 0
 

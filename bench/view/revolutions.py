@@ -1,7 +1,7 @@
-"""Whole electrical turns among the newest samples: where each begins and ends, and the angle in between.
+"""Whole electrical revolutions among the newest samples: where each begins and ends, and the angle in between.
 
-A turn begins where sector I opens, and ends there one revolution on, or back. The angle is that of the reference, else
-that of the Hall edges, between which the shaft is taken to turn evenly, else that of the first estimate.
+One begins where sector I opens, and ends there, one on or one back. The angle is that of the reference, else that of
+the Hall edges, between which the shaft is taken to turn evenly, else that of the first estimate.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ REST = 1.0  # s, in which a shaft goes on by less than a sector if it rests
 BY_HALL = "Hall edges"
 GAP, NO_ANGLE = "samples are missing", "neither an angle nor a Hall edge"
 NOT_FINITE = "the angle is not a finite number"
-AT_REST, SLOW = "at rest", "a turn takes longer"
+AT_REST, SLOW = "at rest", "one takes longer"
 
 Values = NDArray[Any]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 
-class Turn(NamedTuple):
-    """Samples `first` to before `stop` lie within a turn from the angle `begin` to `end`, whole turns, one apart."""
+class Revolution(NamedTuple):
+    """Samples `first` to before `stop` lie between the angles `begin` and `end`, whole numbers, one apart."""
 
     first: int
     stop: int
@@ -43,23 +43,22 @@ class Turn(NamedTuple):
 
 
 class Look(NamedTuple):
-    """What there is to see: the newest samples, and of their whole turns the last two, in order."""
+    """What there is to see: the newest samples, and the last two whole revolutions among them, in order."""
 
     tick: I64
     angle: F64
-    """Turns from where sector I opens, (n,), followed; NaN where it is not known."""
-    turns: list[Turn]
+    """In revolutions from where sector I opens, (n,), followed; NaN where it is not known."""
+    whole: list[Revolution]
     source: str
     """Whose angle it is; empty without any."""
     why: str
-    """Why there is no turn, or none since."""
+    """Why there is none, or none since."""
 
 
-def whole_turns(angle: F64) -> list[Turn]:
-    """All whole turns among angles (n,) in turns, followed; none in which a step is too large to be followed.
+def whole_revolutions(angle: F64) -> list[Revolution]:
+    """All whole ones among angles (n,) in revolutions, followed; none in which a step is too large to be followed.
 
-    A shaft that comes to where it began, and goes back, has not turned; one that dithers there begins with the last
-    time.
+    A shaft that comes back to where one began has made none; where it dithers there, the last time counts.
     """
     number = np.floor(angle)
     step = np.diff(number)
@@ -67,13 +66,15 @@ def whole_turns(angle: F64) -> list[Turn]:
     boundary = np.maximum(number[at], number[at - 1])
     lost = np.concatenate([[0], np.cumsum(~(np.abs(np.diff(angle)) <= FOLLOWED / math.tau))])
     whole = (np.abs(np.diff(boundary)) == 1) & (lost[at[1:]] == lost[at[:-1] - 1])
-    return [Turn(int(at[k]), int(at[k + 1]), int(boundary[k]), int(boundary[k + 1])) for k in np.flatnonzero(whole)]
+    return [
+        Revolution(int(at[k]), int(at[k + 1]), int(boundary[k]), int(boundary[k + 1])) for k in np.flatnonzero(whole)
+    ]
 
 
 def hall_angle(old: NDArray[np.uint8], new: NDArray[np.uint8]) -> tuple[I64, F64]:
-    """Which of the edges (n,) with these codes lead to another sector, and the angle of each of these, in turns.
+    """Which of the edges (n,) with these codes lead to another sector, and the angle of each of these in revolutions.
 
-    Only those since an edge led half a turn on, or back: nobody knows which.
+    Only those since an edge led half a revolution on, or back: nobody knows which.
     """
     sector = sector_of_code(new & 7)
     at = np.flatnonzero(sector >= 0)
@@ -103,8 +104,8 @@ def too_fast(theta: F64, omega: Values | None, seconds: float) -> str:
     return f"the angle turns {math.degrees(step):.0f} deg from sample to sample: more samples a second are needed"
 
 
-class Turns:
-    """Keeps what has come since the last two whole turns began, in bounded memory."""
+class Revolutions:
+    """Keeps what has come since the last two whole revolutions began, in bounded memory."""
 
     def __init__(self, run: RunInfo) -> None:
         self._run = run
@@ -118,13 +119,13 @@ class Turns:
         self._edges: list[tuple[I64, NDArray[np.uint8], NDArray[np.uint8]]] = []
         self._index = 0  # of the newest sample
         self._needed = 0  # tick from which on samples are
-        self._gap = False  # and no whole turn since
+        self._gap = False  # and no whole revolution since
 
     def samples(self, chunk: SampleChunk, values: Mapping[str, Values]) -> None:
         """Take samples and their `values`, (n,) each, the same quantities each time."""
         first = max((gap.position for gap in chunk.gaps), default=0)
         if chunk.gaps or self._index != int(chunk.index[0]) - chunk.config.index_step:  # left out, if not lost
-            self._gap = bool(self._samples)
+            self._gap = bool(self._samples) or first > 0
             self._samples.clear()
         self._index = int(chunk.index[-1])
         self._samples.append((chunk.tick[first:], {name: value[first:] for name, value in values.items()}))
@@ -174,15 +175,15 @@ class Turns:
         return int(self._samples[-1][1]["hall"][-1]) if "hall" in self._run.words else None
 
     def look(self) -> Look:
-        """Find the last two whole turns, after the first sample. What is older than the last time is not kept."""
+        """Find the last two whole revolutions, after the first sample. What is older than those of before is not kept."""
         self._forget()
         tick = self._tick()
         seconds = (tick[-1] - tick[0]) / max(1, len(tick) - 1) / self._run.tick_hz
         angle, source, why = self._angle(tick, seconds)
-        turns = [] if why else whole_turns(angle)[-2:]
-        self._gap = self._gap and not turns
-        found = Look(tick, angle, turns, source, why or (GAP if self._gap else self._pace(tick, angle)))
-        self._needed = int(tick[turns[0].first - 1]) if turns else self._needed
+        whole = [] if why else whole_revolutions(angle)[-2:]
+        self._gap = self._gap and not whole
+        found = Look(tick, angle, whole, source, why or (GAP if self._gap else self._pace(tick, angle)))
+        self._needed = int(tick[whole[0].first - 1]) if whole else self._needed
         return found
 
     def _tick(self) -> I64:
@@ -209,7 +210,7 @@ class Turns:
         return (theta - self._offset) / math.tau, schema.label(channel), why
 
     def _pace(self, tick: I64, angle: F64) -> str:
-        """Whether the shaft rests or is slow, if no whole turn comes."""
+        """Whether the shaft rests or is slow, if no whole revolution comes."""
         since = np.searchsorted(tick, tick[-1] - REST * self._run.tick_hz)
         return AT_REST if np.ptp(angle[since:]) * SECTORS < 1.0 else SLOW
 
