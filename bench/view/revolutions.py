@@ -175,7 +175,7 @@ class Revolutions:
         return int(self._samples[-1][1]["hall"][-1]) if "hall" in self._run.words else None
 
     def look(self) -> Look:
-        """Find the last two whole revolutions, after the first sample. What is older than those of before is not kept."""
+        """Find the last two whole revolutions, after the first sample. What is older than the last two is not kept."""
         self._forget()
         tick = self._tick()
         seconds = (tick[-1] - tick[0]) / max(1, len(tick) - 1) / self._run.tick_hz

@@ -73,8 +73,8 @@ class Scope:
         """Start anew: the drive has rebooted."""
         self._revolutions.restart()
         self._ranges: dict[str, tuple[Range, float]] = {}  # and until when it may be wider than needed
-        self._held: Pictures = {}  # of the last revolution
-        self._words = ""
+        self._shown: Pictures = {}
+        self._words = ""  # of these
         self._end = self._logged = self._next = -math.inf  # s: of it; when it was logged; when it is time
 
     def samples(self, chunk: SampleChunk, values: Mapping[str, Values]) -> None:
@@ -113,23 +113,24 @@ class Scope:
         look = self._revolutions.look()
         if look.whole and (end := self._times(look, look.whole[-1])[1]) > self._end:
             self._end, self._logged = end, now
-            self._held = self._of_revolutions(look)
-            return newest, self._held
-        if not self._held:
-            return newest, self._of_moments(look)
+            self._shown = self._of_revolutions(look)
+            return newest, self._shown
+        if self._end == -math.inf:
+            self._shown = self._of_moments(look)
+            return newest, self._shown
         if now < self._logged + REST:
             return None
         self._logged = now  # a viewer that comes late is given the newest only
-        return newest, self._stale(look.why)
+        return newest, self._told(f"no whole revolution since: {look.why}")
 
     def left_out(self) -> tuple[int, Pictures] | None:
         """The same, where samples are left out from here on."""
         newest = self._revolutions.newest
-        return None if newest is None else (newest, self._stale("samples are left out"))
+        return None if newest is None else (newest, self._told("from here on samples are left out"))
 
-    def _stale(self, why: str) -> Pictures:
-        words = f"{self._words}\nno whole revolution since: {why}"
-        return {entity: picture.told(words) for entity, picture in self._held.items()}
+    def _told(self, more: str) -> Pictures:
+        """What is shown, with other words above it."""
+        return {entity: picture.told(f"{self._words}\n{more}") for entity, picture in self._shown.items()}
 
     def _of_revolutions(self, look: Look) -> Pictures:
         """The last revolutions over the angle."""
@@ -150,7 +151,8 @@ class Scope:
         x = 1.0 + (look.tick[first:] - look.tick[-1]) / span
         part = _Part(x, look.tick[first:], self._revolutions.values(self._names, first, None))
         ticks = tuple((k / 4, f"{self._seconds * (k / 4 - 1):.3g} s".replace("-", "−")) for k in range(4))
-        words = f"the last {self._seconds:.3g} s over time\nno whole revolution yet: {look.why}"
+        self._words = f"the last {self._seconds:.3g} s over time"
+        words = f"{self._words}\nno whole revolution yet: {look.why}"
         return self._drawn([part], (*ticks, (1.0, "0 s")), words)
 
     def _times(self, look: Look, one: Revolution) -> tuple[float, float]:
@@ -162,7 +164,7 @@ class Scope:
         return float(found[0]), float(found[1])
 
     def _part(self, look: Look, one: Revolution) -> _Part:
-        """The samples of one, between what lies at its begin and at its end; of angles that wrap what is next to that."""
+        """The samples of one, and what lies at its begin and its end: of angles that wrap, what is next to that."""
         rows = slice(one.first - 1, one.stop + 1)
         x = look.angle[rows] - min(one.begin, one.end)
         values = self._revolutions.values(self._names, rows.start, rows.stop)
@@ -181,11 +183,11 @@ class Scope:
             picture = draw.framed(ticks, len(lanes), words)
             for k, plot in enumerate(lanes):
                 name = HALL_NAME if plot is None else plot.name.partition(", last")[0]
-                picture.texts.append(((draw.WIDE / 2, k * PITCH + 0.15), name))
                 if plot is None:
                     self._draw_hall(picture, (k + 1) * PITCH, parts)
                 elif unknown := self._draw_plot(picture, (k + 1) * PITCH, plot, parts):
-                    picture.texts[-1] = (picture.texts[-1][0], f"{name}; not finite: {', '.join(unknown)}")
+                    name = f"{name}; not finite: {', '.join(unknown)}"
+                picture.texts.append(((draw.WIDE / 2, k * PITCH + 0.15), name))
             found[entity] = picture
         return found
 
