@@ -131,7 +131,7 @@ def _samples(run: RunInfo, found: Mapping[str, Plot], coarse: bool, sector: floa
     views: list[rrb.View] = [_view(plot, run, None) for plot in found.values() if plot.entity == schema.FAST]
     if run.hall:
         seconds = HALL if sector is None else min(MOST_HALL, max(LEAST_HALL, SECTORS_SHOWN * sector))
-        name = f"Hall sensors and sector, last {seconds:.2g} s{', close-ups only' if coarse else ''}"
+        name = f"Hall sensors and sector, last {seconds:.2g} s{', where there are samples' if coarse else ''}"
         views.append(_lanes(name, schema.HALL_LANES, _span(seconds + HALL_QUERIED), _span(seconds)))
     return rrb.Grid(*views, grid_columns=min(3, len(views)), name="Samples") if views else None
 

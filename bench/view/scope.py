@@ -140,7 +140,8 @@ class Scope:
             f"{hertz * math.tau / (RPM * self._run.n_p):.0f} r/min" if self._run.n_p else f"{hertz:.3g} Hz electrical"
         )
         speed = speed.replace("-", "−")
-        self._words = f"revolution of {begin:.3f} s, {1e3 * (end - begin):.3g} ms, {speed}, angle by {look.source}"
+        lasted = f"{end - begin:.3g} s" if end - begin >= 1.0 else f"{1e3 * (end - begin):.3g} ms"
+        self._words = f"revolution of {begin:.3f} s, {lasted}, {speed}, angle by {look.source}"
         more = "pale: the one before" if len(look.whole) > 1 else "none before it"
         return self._drawn([self._part(look, one) for one in look.whole], draw.DEGREES, f"{self._words}\n{more}")
 

@@ -199,9 +199,12 @@ def test_at_rest_the_last_revolution_stays_and_that_is_said(turned: bool) -> Non
         )
 
 
-def test_a_slow_shaft_is_not_called_at_rest() -> None:
-    t = np.arange(3 * PWM_HZ) / PWM_HZ
-    assert "no whole revolution yet: one takes longer" in drawn(math.tau * 0.3 * t)[-1].words
+def test_a_slow_shaft_is_not_called_at_rest_and_its_revolution_is_shown_in_the_end() -> None:
+    found = drawn(0.1 - math.tau / 5.0 * np.arange(11 * PWM_HZ) / PWM_HZ)
+    assert all("no whole revolution yet: one takes longer" in shown.words for shown in found if 1.0 < shown.at < 5.0)
+    assert "5 s, −2 r/min" in found[-1].words
+    assert found[-1].line("i_b")[1][INNER] == pytest.approx(-2, abs=0.01)
+    assert found[-1].words.endswith("none before it")  # that would be too much to keep
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
