@@ -6,7 +6,6 @@ process was killed) the drive's own watchdog switches off, because only this pro
 
 from __future__ import annotations
 
-import math
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, nullcontext, suppress
@@ -216,7 +215,7 @@ class LiveRun:
         rig.clock = self.node.clock_fit()
         recording = Recording(
             options.save, {"note": options.note} if options.note else {}, options.viewer, options.overwrite,
-            options.web_port, Stored(options.keep, options.split), self._sector(),
+            options.web_port, Stored(options.keep, options.split),
         )  # fmt: skip
         sinks: list[Sink] = [_ScreenNotes(self.screen), self._stats.dates, self._gathered]
         outputs = rig.record_to(recording, sinks, added)
@@ -236,11 +235,6 @@ class LiveRun:
             self.node.next_heartbeat()
         else:
             self.client.tell(HeartbeatReceived(self.node.number, beat))
-
-    def _sector(self) -> float | None:
-        """How long a Hall sector lasts at the highest speed that is asked for, s."""
-        speed, n_p = max((abs(act.speed_rpm) for act in self.acts), default=0.0), pole_pairs(self.rig.drive.parameters)
-        return math.tau / (6.0 * n_p * speed * RPM) if speed and n_p else None
 
     def _mark(self, name: str, first: int, last: int, verdict: Verdict | None = None) -> float:
         """Mark the run from tick `first` to `last`, which is returned in s."""
