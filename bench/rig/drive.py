@@ -23,6 +23,7 @@ from bench.signal.units import pole_pairs, shaft_speed
 from protocol.codes import Fault, fault_names
 from protocol.errors import HbpError
 from protocol.messages import DriveState
+from protocol.signals import Flag
 
 
 class DriveTripped(BenchError):
@@ -104,18 +105,25 @@ class Drive(Machine):
         self.set("observer", float(source))
 
     def speed(
-        self, *, rpm: float | None = None, rad_s: float | None = None, unless: Callable[[], bool] = lambda: False
+        self,
+        *,
+        rpm: float | None = None,
+        rad_s: float | None = None,
+        unless: Callable[[], bool] = lambda: False,
+        i_d: float = 0.0,
     ) -> None:
         """Set the speed reference, mechanical, in one of two units; its confirmation is awaited unless `unless`.
 
-        Raises BenchError beyond what was announced, DriveTripped, and TypeError unless just one unit is given.
+        `i_d`, A: the d current beside it, of a drive with the feature COMMISSION. Raises BenchError beyond what was
+        announced, DriveTripped, and TypeError unless just one unit is given.
         """
         omega_m = shaft_speed(rpm, rad_s)
         require_announced_speed("speed", omega_m, self.envelope)
+        require_announced("current", abs(i_d), self.envelope.current, "A", "current")
         self._start_by_itself()
         with self._trips_first():
             self._ask(omega_m)  # before it is: it may run away while the setpoint is confirmed
-            self.node.speed(omega_m, lambda: bool(self.runs_away) or unless())
+            self.node.speed(omega_m, lambda: bool(self.runs_away) or unless(), i_d)
             self._stop_runaway()
 
     def current(self, i_q: float, i_d: float = 0.0) -> None:
@@ -139,6 +147,9 @@ class Drive(Machine):
         except DriveFailed:
             self._expected |= self._faults  # what its watchdog did is no news of its own
             raise
+        finally:
+            volatile = (p.name for p in self.node.descriptor.parameters if p.flags & Flag.VOLATILE)
+            self.parameters |= {name: self._initial[name] for name in volatile if name in self._initial}
 
     def set(self, name: str, value: float) -> None:
         """Set a parameter; the test's end puts back what it was."""

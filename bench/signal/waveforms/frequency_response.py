@@ -78,7 +78,7 @@ class FrequencyResponse:
         """Share of the output's power that the reference explains, 0 to 1, shape (K,)."""
         cross = np.abs(np.sum(self.outputs * self.references.conj(), axis=0)) ** 2
         powers = np.sum(np.abs(self.references) ** 2, axis=0) * np.sum(np.abs(self.outputs) ** 2, axis=0)
-        return np.divide(cross, powers, out=np.zeros(len(self.f)), where=powers > 0)
+        return np.asarray(np.divide(cross, powers, out=np.zeros(len(self.f)), where=powers > 0))
 
     @property
     def deviation(self) -> Floats:
@@ -86,7 +86,7 @@ class FrequencyResponse:
         n = len(self.references)
         left = self.outputs - self.closed * self.references
         power = np.mean(np.abs(self.references) ** 2, axis=0)
-        return np.sqrt(np.sum(np.abs(left) ** 2, axis=0) / (2.0 * n * (n - 1) * power))
+        return np.asarray(np.sqrt(np.sum(np.abs(left) ** 2, axis=0) / (2.0 * n * (n - 1) * power)))
 
     def margins(self) -> Margins:
         """Margins with their intervals, by leaving out one period at a time (jackknife)."""

@@ -1,0 +1,56 @@
+"""The loops that can be measured, and how a test signal reaches each. Nothing here talks to a drive."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from bench.errors import BenchError
+from bench.signal.waveforms import excitation
+from bench.signal.waveforms.excitation import Waveform
+from protocol.codes import TestSignal
+
+LINES = 40
+"""Frequencies that are measured at most."""
+OVERSAMPLING = 4
+"""Samples of the waveform in a cycle of the highest frequency, at least."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A loop of the firmware: what excites it, and the channels of its reference and its output."""
+
+    name: str
+    test: TestSignal
+    amplitude: str
+    """Parameter that is the amplitude of the test signal."""
+    reference: str
+    late: int
+    """PWM periods by which the reference is recorded later than the control used it (SPEC, chapter 14)."""
+    output: str
+    """Channel of what the loop controls; empty: the speed of the control's angle source."""
+    unit: str
+
+
+CURRENT = Loop("current", TestSignal.I_D, "test_current", "i_d_ref", 1, "i_d", "A")
+SPEED = Loop("speed", TestSignal.SPEED, "test_speed", "omega_ref", 0, "", "rad/s")
+LOOPS = {loop.name: loop for loop in (CURRENT, SPEED)}
+
+
+def waveform(pwm_hz: float, room: int, lowest: float, highest: float) -> Waveform:
+    """A multisine from `lowest` to `highest` Hz that fits in `room` samples; BenchError if none does."""
+    if not 0.0 < lowest < highest:
+        raise BenchError(f"frequencies from {lowest:g} to {highest:g} Hz: the first must be above 0 and below the last")
+    if highest > pwm_hz / OVERSAMPLING:
+        raise BenchError(f"{highest:g} Hz is above a quarter of the PWM rate, {pwm_hz / OVERSAMPLING:g} Hz")
+    hold = max(1, math.floor(pwm_hz / (OVERSAMPLING * highest)))
+    n = math.ceil(pwm_hz / (hold * lowest))
+    if n > room:
+        least = pwm_hz / (hold * room)
+        raise BenchError(
+            f"a test signal from {lowest:g} to {highest:g} Hz needs {n} samples; the drive has room for {room}: "
+            f"begin at {least:.3g} Hz or above, or measure in two parts"
+        )
+    base = pwm_hz / (hold * n)
+    last = max(1, math.floor(highest / base * (1 + 1e-9)))
+    return excitation.multisine(n, excitation.spread(1, last, LINES), hold=hold)
