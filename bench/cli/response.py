@@ -105,7 +105,7 @@ def command(
 
 
 def _print(measured: Measured) -> None:
-    from bench.cli.output import pairs, table
+    from bench.cli.output import pairs
 
     found = measured.response
     rows = [(words, _said(getattr(measured.margins, name), unit)) for name, words, unit in _NAMES]

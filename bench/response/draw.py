@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 
 from bench.report.style import GREY, SERIES, axis_labels, legend_above, new_figure
 from bench.response.experiment import Measured
-from bench.signal.waveforms.frequency_response import Complexes, Floats
+from bench.signal.waveforms.frequency_response import Complexes
+from bench.signal.waveforms.samples import Floats
 
 
 def draw(measured: Measured) -> Figure:

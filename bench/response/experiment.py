@@ -19,7 +19,7 @@ from bench.files import finite
 from bench.response.loops import SPEED, Loop, waveform
 from bench.rig.rig import Rig
 from bench.signal.capture import Capture
-from bench.signal.sources import source_number, source_short
+from bench.signal.sources import source_names, source_number, source_short
 from bench.signal.units import RPM
 from bench.signal.waveforms.excitation import Waveform
 from bench.signal.waveforms.frequency_response import FrequencyResponse, Margins, frequency_response
@@ -145,7 +145,9 @@ def _output(rig: Rig, asked: Asked) -> str:
     if asked.observer is None and not node.has_parameter("observer"):
         raise BenchError("the drive does not tell its angle source (parameter observer): name it with --observer")
     number = node.parameter("observer").value if asked.observer is None else source_number(asked.observer)
-    return f"omega_{source_short(math.nan if number is None else number)}"
+    if number is None:
+        raise BenchError(f"no angle source '{asked.observer}'; available: {', '.join(source_names())}")
+    return f"omega_{source_short(number)}"
 
 
 def _require_complete(capture: Capture, n: int, pwm_hz: int) -> None:
