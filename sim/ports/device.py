@@ -35,7 +35,7 @@ FIRMWARE = "hallbench-sim"
 BUILD = f"{__version__}-{source_hash()[:12]}"
 TX_BYTES = 1 << 23  # of a byte link in virtual time: nothing is dropped however long a step
 FEATURES = Feature.SIMULATED | Feature.MEANINGS | Feature.MEANS  # of both nodes
-OF_THE_DRIVE = Feature.EDGES | Feature.CAPTURE | Feature.WAVEFORM
+OF_THE_DRIVE = Feature.EDGES | Feature.CAPTURE | Feature.COMMISSION | Feature.WAVEFORM
 PORTION = 0.075  # s that the bench runs at most before its sessions look at the time
 
 
