@@ -98,7 +98,8 @@ def measure(rig: Rig, asked: Asked, progress: Callable[[str], None] = lambda _: 
     BenchError for what the drive cannot do, and for samples that were lost.
     """
     node = rig.drive.node
-    wave = waveform(node.identity.pwm_hz, node.waveform_room(), asked.lowest, asked.highest)
+    turns_hz = asked.speed_rpm / 60.0
+    wave = waveform(node.identity.pwm_hz, node.waveform_room(), asked.lowest, asked.highest, turns_hz)
     seconds = (LEADS + asked.periods) * wave.periods / node.identity.pwm_hz
     with _excited(rig, asked, wave):
         progress(f"{asked.loop.name} loop: {asked.periods} cycles of the test signal, {seconds:.1f} s")
