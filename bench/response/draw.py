@@ -25,8 +25,8 @@ def draw(measured: Measured) -> Figure:
             ax.axvline(margins.crossover.value, color=GREY, linewidth=0.9, linestyle=":")
         phase.annotate(
             f"phase margin {margins.phase_margin.value:.1f}°",
-            (margins.crossover.value, margins.phase_margin.value - 180.0), xytext=(6, 6), textcoords="offset points",
-            fontsize=8,
+            (margins.crossover.value, margins.phase_margin.value - 180.0), xytext=(-6, -14), textcoords="offset points",
+            ha="right", fontsize=8,
         )  # fmt: skip
     coherence.semilogx(found.f, found.coherence, ".-", color=SERIES[0])
     coherence.set_ylim(0.0, 1.05)

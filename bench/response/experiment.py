@@ -21,7 +21,6 @@ from bench.rig.rig import Rig
 from bench.signal.capture import Capture
 from bench.signal.sources import source_names, source_number, source_short
 from bench.signal.units import RPM
-from bench.signal.waveforms.excitation import Waveform
 from bench.signal.waveforms.frequency_response import FrequencyResponse, Margins, frequency_response
 from protocol.descriptor import Channel
 
@@ -65,6 +64,8 @@ class Measured:
     response: FrequencyResponse
     margins: Margins
     remarks: tuple[str, ...]
+    capture: Capture
+    """What it was measured on."""
 
     def as_json(self) -> dict[str, Any]:
         """Plain data; None for what is undefined."""
@@ -101,7 +102,7 @@ def measure(rig: Rig, asked: Asked, progress: Callable[[str], None] = lambda _: 
     turns_hz = asked.speed_rpm / 60.0
     wave = waveform(node.identity.pwm_hz, node.waveform_room(), asked.lowest, asked.highest, turns_hz)
     seconds = (LEADS + asked.periods) * wave.periods / node.identity.pwm_hz
-    with _excited(rig, asked, wave):
+    with _running(rig, asked), rig.drive.excited(asked.loop.excited, wave, asked.amplitude):
         progress(f"{asked.loop.name} loop: {asked.periods} cycles of the test signal, {seconds:.1f} s")
         capture = rig.record(seconds)
     output = _output(rig, asked)
@@ -114,25 +115,20 @@ def measure(rig: Rig, asked: Asked, progress: Callable[[str], None] = lambda _: 
         )
     except ValueError as error:
         raise BenchError(f"the {asked.loop.name} loop cannot be measured: {error}") from None
-    return Measured(asked, found, found.margins(), tuple(_remarks(capture, asked.loop, n)))
+    return Measured(asked, found, found.margins(), tuple(_remarks(capture, asked.loop, n)), capture)
 
 
 @contextmanager
-def _excited(rig: Rig, asked: Asked, wave: Waveform) -> Iterator[None]:
-    """The drive runs with the test signal on; it is stopped at the end."""
-    drive, loop = rig.drive, asked.loop
-    drive.node.write_waveform(wave.raw().tobytes())
+def _running(rig: Rig, asked: Asked) -> Iterator[None]:
+    """The drive runs as it is to be measured; it is stopped at the end."""
+    drive = rig.drive
     try:
         drive.start(asked.observer)
-        if loop is SPEED or asked.speed_rpm:
+        if asked.loop is SPEED or asked.speed_rpm:
             drive.speed(rpm=asked.speed_rpm, i_d=asked.bias)
         else:
             drive.current(0.0, asked.bias)
         rig.wait(SETTLE + abs(asked.speed_rpm * RPM) / drive.parameters.get("alpha_m_max", math.inf))
-        drive.set(loop.amplitude, asked.amplitude)
-        drive.set("test_periods", float(wave.hold))
-        drive.set("test_length", float(len(wave.values)))
-        drive.set("test", float(loop.test))
         yield
     finally:
         drive.stop()

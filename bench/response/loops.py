@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from bench.errors import BenchError
 from bench.signal.waveforms import excitation
 from bench.signal.waveforms.excitation import Waveform
-from protocol.codes import TestSignal
 
 LINES = 40
 """Frequencies that are measured at most."""
@@ -23,19 +22,17 @@ class Loop:
     """A loop of the firmware: what excites it, and the channels of its reference and its output."""
 
     name: str
-    test: TestSignal
-    amplitude: str
-    """Parameter that is the amplitude of the test signal."""
+    excited: str
+    """What the test signal is added to."""
     reference: str
     late: int
     """PWM periods by which the reference is recorded later than the control used it (SPEC, chapter 14)."""
     output: str
     """Channel of what the loop controls; empty: the speed of the control's angle source."""
-    unit: str
 
 
-CURRENT = Loop("current", TestSignal.I_D, "test_current", "i_d_ref", 1, "i_d", "A")
-SPEED = Loop("speed", TestSignal.SPEED, "test_speed", "omega_ref", 0, "", "rad/s")
+CURRENT = Loop("current", "i_d", "i_d_ref", 1, "i_d")
+SPEED = Loop("speed", "speed", "omega_ref", 0, "")
 LOOPS = {loop.name: loop for loop in (CURRENT, SPEED)}
 
 

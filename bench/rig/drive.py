@@ -20,10 +20,20 @@ from bench.rig.restore import try_all
 from bench.rig.runaway import RunawayGuard
 from bench.signal.sources import source_names, source_number
 from bench.signal.units import pole_pairs, shaft_speed
-from protocol.codes import Fault, fault_names
+from bench.signal.waveforms.excitation import Waveform
+from protocol.codes import Fault, TestSignal, fault_names
 from protocol.errors import HbpError
 from protocol.messages import DriveState
 from protocol.signals import Flag
+
+AMPLITUDES = {
+    TestSignal.U_D: "test_voltage",
+    TestSignal.U_Q: "test_voltage",
+    TestSignal.I_D: "test_current",
+    TestSignal.I_Q: "test_current",
+    TestSignal.SPEED: "test_speed",
+}
+"""The parameter that is the amplitude of a test signal."""
 
 
 class DriveTripped(BenchError):
@@ -160,6 +170,31 @@ class Drive(Machine):
         with self._trips_first():
             self._set(name, value)
         self.changed[name] = self.parameters[name]
+
+    @contextmanager
+    def excited(self, reference: str, wave: Waveform, amplitude: float) -> Iterator[None]:
+        """Within this the drive, which runs, adds a waveform that repeats to one of its references or voltages.
+
+        `reference`: `u_d`, `u_q` (V), `i_d`, `i_q` (A) or `speed` (mechanical rad/s), and `amplitude` in its unit. It
+        begins with its first sample, in step with the PWM; the channel `status` marks each begin. Needs the features
+        COMMISSION and WAVEFORM. BenchError for what is beyond the announced current or speed, KeyError for another
+        reference.
+        """
+        test = TestSignal[reference.upper()]
+        if test in (TestSignal.I_D, TestSignal.I_Q):
+            require_announced("amplitude", amplitude, self.envelope.current, "A", "current")
+        elif test is TestSignal.SPEED:
+            require_announced_speed("amplitude", amplitude, self.envelope)
+        self.node.write_waveform(wave.raw().tobytes())
+        self.set(AMPLITUDES[test], amplitude)
+        self.set("test_periods", float(wave.hold))
+        self.set("test_length", float(len(wave.values)))
+        self.set("test", float(test))
+        try:
+            yield
+        finally:
+            if self.on and not self.faults:
+                self.set("test", float(TestSignal.OFF))
 
     @contextmanager
     def may_trip(self) -> Iterator[None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,10 @@ from bench.cli import cli
 from bench.errors import BenchError
 from bench.response.experiment import Asked, Measured, measure
 from bench.response.loops import CURRENT, SPEED, Loop, waveform
+from bench.signal.capture import F64
+from bench.signal.waveforms import excitation
+from bench.signal.waveforms.frequency_response import Complexes
+from protocol.signals import Status
 
 PWM = 16_000.0
 R, L, PSI, N_P, J, B = 0.158, 0.176e-3, 6.55e-3, 6, 2.0e-4, 1.0e-4
@@ -29,23 +34,25 @@ CONFIG: dict[str, Any] = {
 }
 
 
-def z_of(f: np.ndarray) -> np.ndarray:
+def z_of(f: F64) -> Complexes:
     return np.exp(2j * np.pi * f / PWM)
 
 
-def current_open(f: np.ndarray, bandwidth: float) -> np.ndarray:
+def current_open(f: F64, bandwidth: float) -> Complexes:
     """PI by internal model, a period of computation, a zero-order hold on R and L."""
     z, decay, alpha = z_of(f), math.exp(-R / (L * PWM)), 2.0 * math.pi * bandwidth
-    return (alpha * L + alpha * R / PWM * z / (z - 1.0)) * (1.0 - decay) / R / (z - decay) / z
+    opened: Complexes = (alpha * L + alpha * R / PWM * z / (z - 1.0)) * (1.0 - decay) / R / (z - decay) / z
+    return opened
 
 
-def speed_open(f: np.ndarray, k_p: float, k_i: float, bandwidth: float = 800.0) -> np.ndarray:
+def speed_open(f: F64, k_p: float, k_i: float, bandwidth: float = 800.0) -> Complexes:
     """PI, the closed current loop, inertia and friction, the alpha-beta filter on the encoder's counts."""
     z, s, pole = z_of(f), 2j * np.pi * f, math.exp(-2.0 * math.pi * ENCODER_HZ / PWM)
     inner = current_open(f, bandwidth)
     angle = 1.5 * N_P * PSI / (J * s + B) / s
     seen = PWM * (1.0 - pole) ** 2 * z * (z - 1.0) / (z - pole) ** 2
-    return (k_p + k_i / PWM * z / (z - 1.0)) * inner / (1.0 + inner) * angle * seen
+    opened: Complexes = (k_p + k_i / PWM * z / (z - 1.0)) * inner / (1.0 + inner) * angle * seen
+    return opened
 
 
 def margin_of(opened: Any) -> tuple[float, float]:
@@ -143,6 +150,45 @@ def test_the_command_prints_draws_and_writes(tmp_path: Path) -> None:
     low = runner.invoke(cli, ["response", "sim", "current", "--to", "1500", "--phase-margin", "89"])
     assert low.exit_code == 1
     assert "at least 89 deg are asked for" in low.stderr
+
+
+def test_the_acceptance_test_of_the_docs_passes_and_fails_by_its_limits(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "response.md").read_text(encoding="utf-8")
+    (code, _) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    for limit, verdict in (("lo=45", 0), ("lo=80", 1)):
+        test = tmp_path / f"test_margin_{verdict}.py"
+        test.write_text(code.replace("lo=45", limit), encoding="utf-8")
+        ended = CliRunner().invoke(cli, ["accept", "sim", "--tests", str(test)])
+        assert ended.exit_code == verdict, ended.output
+
+
+WAVES = {
+    "sine": excitation.sine(160, 3),
+    "square": excitation.square(80),
+    "chirp": excitation.chirp(800, 2, 60),
+    "noise": excitation.noise(512, 3, 80, hold=2),
+    "table": excitation.table([1.0, 0.5, -0.25, -1.0, 0.0, 0.75], hold=20),
+}
+
+
+@pytest.mark.parametrize("name", WAVES)
+def test_any_waveform_is_in_the_reference_as_it_was_made(name: str) -> None:
+    """The reference is the setpoint plus amplitude times the samples, from the period that status marks on."""
+    wave = WAVES[name]
+    with bench.connect("sim", channels=["i_d_ref", "status"], config=CONFIG) as rig:
+        rig.drive.start("encoder")
+        rig.drive.current(0.0, 2.0)
+        with rig.drive.excited("i_d", wave, 0.5):
+            capture = rig.record(0.3)
+        quiet = rig.record(0.05)
+        assert rig.drive.parameters["test"] == 0.0
+    begins = np.flatnonzero(capture["status"].astype(int) & Status.INJECTION_SYNC)
+    assert np.all(np.diff(begins) == wave.periods)
+    expected = 2.0 + 0.5 * np.repeat(wave.values, wave.hold)
+    for begin in begins[:-1]:
+        seen = capture["i_d_ref"][begin : begin + wave.periods]
+        assert np.abs(seen - expected).max() < 1.0 / 1024 + 0.5 / 32767
+    assert np.all(quiet["i_d_ref"][-100:] == 2.0)
 
 
 def test_a_drive_is_as_it_was_and_off_afterwards() -> None:
