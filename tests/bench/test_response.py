@@ -35,7 +35,7 @@ CONFIG: dict[str, Any] = {
 
 
 def z_of(f: F64) -> Complexes:
-    return np.exp(2j * np.pi * f / PWM)
+    return np.asarray(np.exp(2j * np.pi * f / PWM))
 
 
 def current_open(f: F64, bandwidth: float) -> Complexes:
