@@ -211,6 +211,8 @@ class _Edges:
         """Give up edges before a tick."""
         while self._held and self._held[0][0] < tick:
             self._drop()
+        if self._crowded_out[0] < tick:
+            self._crowded_out = -1, 0
 
     def _drop(self) -> int:
         gone = len(self._held.popleft()[2])
