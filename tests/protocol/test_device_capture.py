@@ -11,7 +11,7 @@ import pytest
 from capture_model import Asked, Course, Edge, Kind
 from hypothesis import given
 from hypothesis import strategies as st
-from small_drive import SmallDrive, edges_at, frames_in, identity, samples, small_link, wire_of
+from small_drive import SmallDrive, edges_at, frames_in, identity, small_link, wire_of
 
 from protocol.descriptor import sample_dtype
 from protocol.device.records import LateSamples
@@ -160,14 +160,11 @@ def test_blob_1_is_that_of_the_model_in_whatever_portions(
     elif course.edges_before:
         session.push_edges(edges_at([course.tick0] * course.edges_before))
     ids = tuple(CHANNELS[n].id for n in asked.channels)
-    armed = CaptureReply.unpack(
-        device.ask(
-            CaptureArm(
-                CaptureTrigger(asked.trigger), 0, asked.decimation, asked.before, asked.after, asked.level,
-                CHANNELS[asked.channel].id, asked.edges, ids,
-            )  # fmt: skip
-        )
-    )
+    request = arm(
+        CaptureTrigger(asked.trigger), asked.before, asked.after, decimation=asked.decimation, level=asked.level,
+        channel=CHANNELS[asked.channel].id, edges=asked.edges, channels=ids,
+    )  # fmt: skip
+    armed = CaptureReply.unpack(device.ask(request))
     state = CaptureState.TRIGGERED if asked.trigger == CaptureTrigger.NOW else CaptureState.ARMED
     assert (armed.state, armed.trigger, armed.channels) == (state, asked.trigger, ids)
     device.events.clear()
