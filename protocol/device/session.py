@@ -172,7 +172,7 @@ class DeviceSession:
         `index0`, `tick0`: PWM-period count and tick of the first. All edges up to the last sample's tick
         must have been pushed before.
         """
-        self.streams.push_samples(index0, tick0, samples)
+        self.streams.push_samples(index0, tick0, samples, self.channels)  # the capture keeps what is made here
         if self.capture:
             self.capture.push_samples(index0, tick0, samples)
 

@@ -116,12 +116,12 @@ class StreamTable:
             self._forget(number)
             self._carrier.close(number)
 
-    def push_samples(self, index0: int, tick0: int, samples: Samples) -> None:
-        """Take samples of all channels: see `DeviceSession.push_samples`."""
+    def push_samples(self, index0: int, tick0: int, samples: Samples, names: frozenset[str]) -> None:
+        """Take samples of all channels: see `DeviceSession.push_samples`; those of these `names` are to be right."""
         streams = [each for each in self._streams.values() if isinstance(each, SampleStream) and each.running]
         if not streams or not len(samples):
             return
-        rows = rows_of(made(samples, self.channels), self._dtype)
+        rows = rows_of(made(samples, names), self._dtype)
         if any(stream.fills_block(index0, len(rows)) for stream in streams):
             self._flush_edges()
         for stream in streams:

@@ -145,7 +145,7 @@ def courses(draw: st.DrawFn) -> tuple[Asked, Course, list[int]]:
     return asked, course, sorted({*cuts, begin + n})
 
 
-@examples(60, 3000, campaign="c")
+@examples(40, 3000, campaign="c")
 @given(courses(), st.booleans(), st.integers(1, 1024))
 def test_blob_1_is_that_of_the_model_in_whatever_portions(
     given_course: tuple[Asked, Course, list[int]], late: bool, part: int
