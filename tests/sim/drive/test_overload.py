@@ -81,7 +81,7 @@ def test_it_goes_on_in_every_state_and_a_drive_that_is_cleared_at_once_trips_soo
 
 
 def test_it_acts_on_a_given_voltage_at_a_forced_angle_as_it_does_on_a_current():
-    bench = held(4.0)
+    bench = held(4.0, **{"inverter.dead_time": 0.0, "firmware.dead_time.dead_time_hat": 0.0})
     bench.set_param("forced", 1.0)
     bench.setpoint(SetpointMode.VOLTAGE, 0.0, 0.158 * 6.0)
     bench.run(4.0 / (36.0 - I_CONT**2) + 0.01)
