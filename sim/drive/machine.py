@@ -311,7 +311,7 @@ class SimulatedBench:
             self._observe(int(value))
         self._reset |= name in HALL_RING  # what observers remember was in another frame
         before, self.parameters[name] = self.parameters[name], _f32(value)
-        self._commissioning |= name in AT_BOOT and self.outputs_on
+        self._commissioning |= name in AT_BOOT and self.outputs_on and self.parameters[name] != before
         if name == "forced_angle":  # that it is put back to its default when RUNNING has ended sets nothing
             self._angle_set = bool(value) or self.outputs_on or before == value
         elif name == "test":
