@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass, field
 from typing import TypeVar
 
-from bench.device.heard import Chunk, ClockRestarted, Heard, Misdated, Missing, Note, Sink
+from bench.device.heard import Chunk, ClockRestarted, Heard, Misdated, Missing, Note, ParameterSet, Sink
 from bench.device.losses import Continuity
 from bench.errors import SeveralDevices
 from protocol.errors import HbpError, LinkClosed, LinkError, NoReply, Refused
@@ -163,6 +163,10 @@ class Client:
         """Nodes as which several devices answer, with the boot_ids of these."""
         self.rejections: dict[int, DeviceEvent] = {}
         """By node, the last event that told why a setpoint was rejected."""
+        self.parameters: dict[int, dict[int, str]] = {}
+        """By node, the names of its parameters by id, as far as its descriptor was read."""
+        self.changed: dict[tuple[int, str], ParameterSet] = {}
+        """By node and name, the last change of a parameter that the node has told."""
         self.faults: dict[int, Fault] = {}
         """By node, all that its heartbeats and events have reported; an event may have been lost with the link."""
         self.bytes_in = 0
@@ -400,6 +404,8 @@ class Client:
                 if happened.code == EventCode.SETPOINT_REJECTED:
                     self.rejections[node] = happened
                 self.tell(event)
+                if happened.code == EventCode.PARAM_CHANGED:
+                    self._parameter_changed(node, happened)
             case LogReceived(log=log):
                 self.note(log.text, _LOG_LEVELS.get(log.level, "INFO"))
             case ReplyReceived(tid=tid, message=message):
@@ -432,6 +438,13 @@ class Client:
                 self._clocks.pop(node, None)
                 if self.on_reboot:
                     self.on_reboot(node)
+
+    def _parameter_changed(self, node: int, event: DeviceEvent) -> None:
+        """Tell the new value by the parameter's name; of a node whose descriptor nobody has read it has none."""
+        name = self.parameters.get(node, {}).get(int(event.arg)) if event.arg >= 0.0 else None
+        if name is not None:
+            told = self.changed[node, name] = ParameterSet(event.tick, node, name, event.detail, exact=True)
+            self.tell(told)
 
     def _no_answer(self, node: int, kind: MessageType, tries: int, now: float) -> str:
         """That `node` did not answer, and whether it was heard meanwhile."""

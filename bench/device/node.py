@@ -143,7 +143,9 @@ class Node:
                 f"the descriptor of node {self.number} has CRC {crc:08x}, HELLO announced "
                 f"{self.identity.schema_crc:08x}: the firmware's schema_crc is wrong"
             )
-        return Descriptor.unpack(blob, f"node {self.number}")
+        descriptor = Descriptor.unpack(blob, f"node {self.number}")
+        self.client.parameters[self.number] = {record.id: record.name for record in descriptor.parameters}
+        return descriptor
 
     def parameter(self, name: str) -> ParamReply:
         """Value, range and default of a parameter, in its unit. Raises DeviceDefect if its value cannot be."""
@@ -171,15 +173,29 @@ class Node:
 
     def set(self, name: str, value: float) -> float:
         """Set a parameter; returns the value that the device stored. Raises NodeError with the range if refused."""
+        told = self.client.changed.get((self.number, name))
         try:
             stored = self.client.request(ParamSet(self._parameter_id(name), value), self.number, ParamStored).stored
         except Refused as refusal:
             if refusal.code == ErrorCode.OUT_OF_RANGE:
                 now = self.parameter(name)
-                raise NodeError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
+                if not now.lo <= value <= now.hi:
+                    raise NodeError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
+                limit = f"it is beyond {refusal.detail:g}"
+                raise NodeError(f"{name} = {value:g} was refused by node {self.number}: {limit}") from None
+            if refusal.code == ErrorCode.WRONG_STATE and self._idle_only(name):
+                state = DriveState(int(refusal.detail)).name
+                why = f"node {self.number} takes it only with its outputs off, and is {state}: stop it first"
+                raise NodeError(f"{name} was not set to {value:g}: {why}") from None
+            if refusal.code == ErrorCode.READ_ONLY:
+                raise NodeError(f"{name} of node {self.number} can only be read") from None
             raise NodeError(f"{name} = {value:g} was refused by node {self.number}: {refusal}") from None
-        self.client.tell(ParameterSet(self.client.newest(self.number), self.number, name, stored))
+        if self.client.changed.get((self.number, name)) is told:  # it has not said so itself
+            self.client.tell(ParameterSet(self.client.newest(self.number), self.number, name, stored))
         return stored
+
+    def _idle_only(self, name: str) -> bool:
+        return any(record.name == name and record.flags & Flag.IDLE_ONLY for record in self.descriptor.parameters)
 
     def store(self) -> None:
         """Have all parameters kept for the next boot. Raises NodeError where it will not."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 from bench.device.bus import BusMeter
 from bench.device.client import PAUSE
-from bench.device.heard import Heard, Note, Sink
+from bench.device.heard import Changes, Heard, Note, Sink
 from bench.device.node import LOAD
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, RecordingError
@@ -212,6 +212,8 @@ class LiveRun:
         watching: list[Sink] = [self._stats, self._judge, self._distrust]
         if triggers:
             watching.append(Triggers(triggers, self.node.number, self._triggered))
+        if augmenter is not None:
+            watching.append(Changes(self.node.number, augmenter.change))
         self._gathered = Gathered(watching)
         rig.clock = self.node.clock_fit()
         recording = Recording(

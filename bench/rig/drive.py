@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from bench.device.client import WATCHDOG
+from bench.device.heard import ParameterSet
 from bench.device.node import Node
 from bench.errors import BenchError, DriveFailed, ExitCode
 from bench.rig.envelope import Envelope
@@ -62,6 +63,10 @@ class Drive(Machine):
     def learn(self, parameters: dict[str, float]) -> None:
         """These are its parameters before anything is set."""
         self.parameters, self._initial = dict(parameters), dict(parameters)
+
+    def follow(self, change: ParameterSet) -> None:
+        """One of its parameters has another value, whoever has set it."""
+        self.parameters[change.name] = change.value
 
     # -- what it is ---------------------------------------------------------------------------------------------
 
