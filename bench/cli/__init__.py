@@ -40,6 +40,7 @@ _COMMANDS = {
     "sim": "Run the simulated drive on a pty, a TCP port or a CAN bus.",
     "devices": "List available ports and buses, or the nodes on one.",
     "info": "Show a drive's identity, descriptor, parameters and health.",
+    "param": "List, set, store, dump, load, compare and watch parameters of a drive.",
     "protocol": "Write a DBC file of the streams on a CAN bus, for other tools.",
     "completion": "Print the shell completion script.",
 }

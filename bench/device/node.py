@@ -62,7 +62,7 @@ from protocol.messages import (
 from protocol.payload import whole_from_wire
 from protocol.signals import Flag
 from protocol.streams import MAX_STREAMS, STREAM_HEADER, StreamConfig
-from protocol.text import counted
+from protocol.text import counted, printable
 from protocol.validity import check_parameter
 from protocol.wire import ByteWire
 
@@ -71,6 +71,8 @@ SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
 MAX_LATENCY_MS = 20  # with which the bench configures streams
 DUE = 0.15  # s after which the next heartbeat is late
+MEANINGS = 3  # blob
+MOST_BLOB = 1 << 20  # bytes of a blob that is read at once
 _BLOB_PART = 512
 _PART_TAKES = 0.05  # s, at most, that a part is under way on a UART: the request is repeated after 0.1 s
 _SMALLEST_PART = 16
@@ -127,17 +129,7 @@ class Node:
         self._identity = self._descriptor = None
 
     def _read_descriptor(self) -> Descriptor:
-        blob = b""
-        total = 1
-        wire = self.client.session.wire
-        in_time = wire.baud / 10 * _PART_TAKES if isinstance(wire, ByteWire) else _BLOB_PART
-        part = int(min(_BLOB_PART, max(in_time, _SMALLEST_PART)))
-        while len(blob) < total:
-            reply = self.client.request(BlobRead(id=0, length=part, offset=len(blob)), self.number, BlobReply)
-            total = reply.total
-            if not reply.data and total:
-                raise NodeError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")
-            blob += reply.data
+        blob = self._read_blob(0, "the descriptor")
         if (crc := crc32(blob)) != self.identity.schema_crc:
             raise NodeError(
                 f"the descriptor of node {self.number} has CRC {crc:08x}, HELLO announced "
@@ -146,6 +138,30 @@ class Node:
         descriptor = Descriptor.unpack(blob, f"node {self.number}")
         self.client.parameters[self.number] = {record.id: record.name for record in descriptor.parameters}
         return descriptor
+
+    def meanings(self) -> dict[str, str]:
+        """What the device itself says that its parameters and channels mean, by name; empty where it says nothing."""
+        if not self.identity.features & Feature.MEANINGS:
+            return {}
+        text = self._read_blob(MEANINGS, "the blob of meanings").decode("utf-8", "replace")
+        pairs = (line.partition(" ") for line in text.split("\n"))
+        return {name: printable(meaning) for name, _, meaning in pairs if name and meaning}
+
+    def _read_blob(self, number: int, what: str) -> bytes:
+        blob = b""
+        total = 1
+        wire = self.client.session.wire
+        in_time = wire.baud / 10 * _PART_TAKES if isinstance(wire, ByteWire) else _BLOB_PART
+        part = int(min(_BLOB_PART, max(in_time, _SMALLEST_PART)))
+        while len(blob) < total:
+            reply = self.client.request(BlobRead(id=number, length=part, offset=len(blob)), self.number, BlobReply)
+            total = reply.total
+            if not reply.data and total:
+                raise NodeError(f"{what} of node {self.number} ends at {len(blob)} of {total} bytes")
+            blob += reply.data
+            if len(blob) > MOST_BLOB:
+                raise NodeError(f"{what} of node {self.number} is said to have {total} bytes: more than {MOST_BLOB}")
+        return blob
 
     def parameter(self, name: str) -> ParamReply:
         """Value, range and default of a parameter, in its unit. Raises DeviceDefect if its value cannot be."""
