@@ -19,6 +19,7 @@ from bench.rig.envelope import Envelope
 from bench.rig.machine import Machine, require_announced, require_announced_speed
 from bench.rig.restore import try_all
 from bench.rig.runaway import RunawayGuard
+from bench.rig.tuning import Marked, Tuning
 from bench.signal.sources import source_names, source_number
 from bench.signal.units import pole_pairs, shaft_speed
 from protocol.codes import Fault, fault_names
@@ -51,6 +52,8 @@ class Drive(Machine):
         self.changed: dict[str, float] = {}
         """Those that were set, as they were last set."""
         self._initial: dict[str, float] = {}
+        self.marked: Marked = lambda name, tick: None
+        """What marks a moment in the recording, by name and device tick."""
         self.guard: RunawayGuard | None = None
         """What sees that the motor runs away, once it is known what is streamed."""
         self.ran_away = False
@@ -154,6 +157,20 @@ class Drive(Machine):
         with self._trips_first():
             self._set(name, value)
         self.changed[name] = self.parameters[name]
+
+    @contextmanager
+    def tuning(self, *names: str, **values: float) -> Iterator[Tuning]:
+        """Within this, parameters of these names are tuned: each change is marked, and the end puts all back.
+
+        `values` are set at once. NodeError for a name that the drive does not have, or does not let one tune.
+        """
+        tuning = Tuning(self, (*names, *(name for name in values if name not in names)), self.marked)
+        try:
+            for name, value in values.items():
+                tuning[name] = value
+            yield tuning
+        finally:
+            tuning.put_back()
 
     @contextmanager
     def may_trip(self) -> Iterator[None]:

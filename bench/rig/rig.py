@@ -270,6 +270,7 @@ class Rig:
         info = run_info(self.drive.node, plan.target, channels, self.drive.parameters, plan.settings, **recording.about)
         outputs = self.outputs = Outputs(info, recording, plan.virtual)
         self._stack.callback(outputs.close)
+        self.drive.marked = lambda name, tick: outputs.mark(name, tick, tick, None)
         if outputs.file is not None and not plan.goes_on:
             self._stack.callback(outputs.file.close)
         if plan.goes_on:
