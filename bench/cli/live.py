@@ -70,7 +70,7 @@ class Observer(click.Choice[str]):
 @click.option("--estimate", metavar="NAME", multiple=True,
               help="Run this observer on the host and show its estimate; bench replay --list names them; "
               "repeatable.")  # fmt: skip
-@click.option("--tune", metavar="A,B,…", type=Names(), default=(),
+@click.option("--tune", metavar="A,B,…", type=Names(),
               help="Change these parameters while it runs: arrow keys and numbers on a terminal, else lines NAME=VALUE "
               "on standard input. The end puts them back.")  # fmt: skip
 @config_option
@@ -116,7 +116,7 @@ def _run(
     """Run it, and exit."""
     from bench.live import run as live
 
-    options = live.LiveOptions(target=target, settings=settings, **given)
+    options = live.LiveOptions(target=target, settings=settings, **given | {"tune": given["tune"] or ()})
     from bench.cli.output import Progress, pairs, table
     from bench.live.summary import ASKED_HEADERS, ERROR_HEADERS, Summary, asked_rows, error_rows, run_rows
 

@@ -403,9 +403,7 @@ class Client:
                 self.faults[node] = self.faults.get(node, Fault(0)) | happened.faults
                 if happened.code == EventCode.SETPOINT_REJECTED:
                     self.rejections[node] = happened
-                self.tell(event)
-                if happened.code == EventCode.PARAM_CHANGED:
-                    self._parameter_changed(node, happened)
+                self.tell(self._parameter_set(node, happened) or event)
             case LogReceived(log=log):
                 self.note(log.text, _LOG_LEVELS.get(log.level, "INFO"))
             case ReplyReceived(tid=tid, message=message):
@@ -439,12 +437,14 @@ class Client:
                 if self.on_reboot:
                     self.on_reboot(node)
 
-    def _parameter_changed(self, node: int, event: DeviceEvent) -> None:
-        """Tell the new value by the parameter's name; of a node whose descriptor nobody has read it has none."""
-        name = self.parameters.get(node, {}).get(int(event.arg)) if event.arg >= 0.0 else None
-        if name is not None:
-            told = self.changed[node, name] = ParameterSet(event.tick, node, name, event.detail, exact=True)
-            self.tell(told)
+    def _parameter_set(self, node: int, event: DeviceEvent) -> ParameterSet | None:
+        """What an event tells of a parameter, by its name; None for another event, and where the name is not known."""
+        number = event.number if event.code == EventCode.PARAM_CHANGED else None
+        name = None if number is None else self.parameters.get(node, {}).get(number)
+        if name is None:
+            return None
+        told = self.changed[node, name] = ParameterSet(event.tick, node, name, event.detail, exact=True)
+        return told
 
     def _no_answer(self, node: int, kind: MessageType, tries: int, now: float) -> str:
         """That `node` did not answer, and whether it was heard meanwhile."""

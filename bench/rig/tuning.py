@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from bench.device.node import Node
 from bench.errors import BenchError, NodeError
 from bench.rig.restore import try_all
 from protocol.signals import Flag
 
-if TYPE_CHECKING:
-    from bench.rig.drive import Drive
-
 STEP = 1.05
 """Factor of one step."""
 OF_RANGE = 1e-3  # a step from 0, as a share of the way to the end of the range
+
+
+class Tunable(Protocol):
+    """What a drive of a rig is here."""
+
+    node: Node
+    parameters: dict[str, float]
+
+    def set(self, name: str, value: float) -> None:
+        """Set a parameter, which the end of the rig puts back."""
+
 
 Marked = Callable[[str, int], object]
 """Takes the name of a mark and its device tick."""
@@ -27,7 +36,7 @@ class Tuning(Mapping[str, float]):
     Raises NodeError for a name that the drive does not have, or that it does not let one set while it runs.
     """
 
-    def __init__(self, drive: Drive, names: tuple[str, ...], marked: Marked) -> None:
+    def __init__(self, drive: Tunable, names: tuple[str, ...], marked: Marked) -> None:
         self._drive, self._marked = drive, marked
         records = {record.name: record for record in drive.node.descriptor.parameters}
         if unknown := [name for name in names if name not in records]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -507,3 +509,15 @@ def test_watch_as_a_command(bench) -> None:
         code, out, _ = bench("param", "watch", target["a"], "--duration", "0.5")
     assert (code, out.count("\n")) == (0, 1)
     assert out.startswith(f"watching {len(made.drive.app.parameters)} parameters of simulated drive (serial SIM-0001)")
+
+
+def test_the_python_of_the_page_runs_as_it_stands(capsys) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "parameters.md").read_text()
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    cells: dict[str, Any] = {}
+    exec(block, cells)
+    changes = cells["run"].parameters.changes
+    assert [(change.name, change.value) for change in changes] == [
+        ("k_p_vt", 900.0), ("k_i_vt", 40000.0), ("k_p_vt", 1268.0), ("k_i_vt", 54289.0)
+    ]  # fmt: skip
+    assert capsys.readouterr().out == "1268.0 1/s 1268.0\nTrue\n"
