@@ -23,7 +23,7 @@ from bench.param.table import Parameters
 
 pytestmark = [pytest.mark.alone, pytest.mark.long("real time, a process for each drive and host")]
 
-LOADED = 0.6  # s that a load takes at most after it has said what differs
+LOADED = 0.12  # s that a load takes, about, after it has said what differs
 NEW = {
     "k_p_vt": 901.5, "k_i_vt": 40000.0, "i_max": 6.25, "edge_up_1": 0.0125, "edge_up_6": -0.0125, "edge_down_3": 0.02,
     "bw_current": 650.0, "u_dc_max": 40.0, "tau_max": 0.0004, "k_p_speed": 0.15, "hall_offset": 0.25, "J_hat": 0.0003,
