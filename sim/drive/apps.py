@@ -24,10 +24,18 @@ from protocol.signals import (
     AngleSource,
     Flag,
     Parameter,
+    Signal,
 )
 from sim.config.params import ConfigError
 from sim.drive.channels import SOURCES, channels
 from sim.drive.machine import SimulatedBench
+
+WAVEFORM = 4096  # samples of a test signal that the drive holds
+AT_A_FAULT = frozenset(
+    "hall status theta_enc omega_enc i_a i_b i_c u_alpha u_beta u_dc i_d i_q i_d_ref i_q_ref omega_ref "  # noqa: SIM905
+    "theta_avg omega_avg theta_vt omega_vt theta_ctrl".split()
+)
+"""Channels of the capture that waits for a fault: what is measured and controlled, and estimated in any case."""
 
 
 class DriveApp:
@@ -49,9 +57,17 @@ class DriveApp:
         """See `DeviceApp`."""
         sources = float(AngleSource.ENCODER if encoder else AngleSource.AVERAGE_SPEED), float(max(SOURCES))
         self.parameters = tuple(
-            replace(p, lo=sources[0], hi=sources[1]) if p.name == "observer" else p for p in DRIVE_PARAMETERS
+            replace(p, lo=sources[0], hi=sources[1]) if p.name == "observer" else p
+            for p in DRIVE_PARAMETERS
+            if p.name in bench.parameters
         )
         """See `DeviceApp`."""
+        self.meanings = _meanings(self.channels, self.parameters)
+        """See `protocol.device.app.Extras`."""
+        self.waveform = np.zeros(WAVEFORM, np.int16)
+        """See `protocol.device.app.Extras`."""
+        self.fault_channels = tuple(channel.name for channel in self.channels if channel.name in AT_A_FAULT)
+        """See `protocol.device.app.Extras`."""
         if store is not None:
             for name, value in _read_store(store, self.parameters).items():
                 bench.set_param(name, value)
@@ -118,6 +134,8 @@ class LoadApp:
 
     def __init__(self, bench: SimulatedBench) -> None:
         self._bench = bench
+        self.meanings = _meanings(self.channels, self.parameters)
+        """See `protocol.device.app.Extras`."""
         self._defaults = dict(bench.load_parameters)
         self.outputs_on = False
         """See `DeviceApp`."""
@@ -159,6 +177,11 @@ class LoadApp:
     def commit(self) -> None:
         """Refused: the load machine keeps nothing."""
         raise Refused("the load machine has no store", ErrorCode.NOT_SUPPORTED)
+
+
+def _meanings(channels: Sequence[Signal], parameters: Sequence[Parameter]) -> dict[str, str]:
+    """What these are, by name."""
+    return {channel.name: channel.about for channel in channels} | {each.name: each.about for each in parameters}
 
 
 def _limit(what: str, size: float, limit: float) -> None:
