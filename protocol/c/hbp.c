@@ -548,7 +548,8 @@ static uint16_t blob_write(struct hbp *h, const uint8_t *in, size_t length, size
     *detail = (float)total;
     if (offset > total || more > total - offset) return HBP_ERROR_OUT_OF_RANGE;
     *detail = (float)in[0];
-    if (h->test != HBP_NONE && parameter_value(h, h->test) > 0.0f) return HBP_ERROR_BUSY;
+    if (h->test != HBP_NONE &&
+        (parameter_value(h, h->test) < 0.0f || parameter_value(h, h->test) > 0.0f)) return HBP_ERROR_BUSY;
     for (in += 8; more--; offset++) {
         uint8_t both[2];
         int16_t *sample = &h->config->waveform[offset / 2u];

@@ -508,7 +508,8 @@ struct hbp_capture {
     uint32_t edges_begun;        /* edges before the first record of the ring was written last */
     uint64_t index;              /* of the trigger's record */
     /* hbp_edge's */
-    uint32_t edge_tick, last_tick, edge_end; /* edge_end: number of the edge after the last one that was held */
+    uint32_t edge_tick, last_tick, lost_tick; /* of the trigger, of the last one, of the last one given up */
+    uint32_t edge_end;           /* number of the edge after the last one */
     /* the main loop's */
     uint32_t start, edge_start;  /* of blob 1 in the rings, bytes */
     uint32_t summed;             /* bytes of it that are in the CRC */

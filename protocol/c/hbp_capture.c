@@ -381,8 +381,11 @@ void hbp_capture_edge(struct hbp *h, uint32_t tick, uint8_t codes, uint16_t enco
         c->edge_tick = tick;
         c->edged = 1;
     }
+    c->lost_tick = tick;
     if (c->edge_room) {
-        (void)hbp_put32(hbp_put32(h->config->capture + EDGE_BYTES * c->edge_to, tick), codes | (uint32_t)encoder << 16);
+        uint8_t *to = h->config->capture + EDGE_BYTES * c->edge_to;
+        c->lost_tick = hbp_get32(to); /* where the ring has been filled before */
+        (void)hbp_put32(hbp_put32(to, tick), codes | (uint32_t)encoder << 16);
         if (++c->edge_to == c->edge_room) {
             c->edge_to = 0;
             c->edge_wrapped = 1;
@@ -405,6 +408,7 @@ static void find_edges(struct hbp *h, uint32_t last_tick, uint64_t span, uint32_
     uint32_t ring = EDGE_BYTES * c->edge_room, held = c->edge_wrapped ? c->edge_room : c->edge_to, n = 0;
     uint32_t at = EDGE_BYTES * c->edge_to, end = c->edge_end, tick, later_tick = last_tick;
     uint64_t age = 0;
+    int lost = c->edge_room ? c->edge_wrapped : c->before_last != NO_CODE;
     for (; held; held--) {
         uint32_t before = at ? at - EDGE_BYTES : ring - EDGE_BYTES;
         tick = hbp_get32(h->config->capture + before);
@@ -421,7 +425,10 @@ static void find_edges(struct hbp *h, uint32_t last_tick, uint64_t span, uint32_
     c->edge_start = at;
     c->told[EDGES] = n;
     c->told[FIRST_EDGE] = n ? end - n : 0;
-    if (!held && (int32_t)(end - n - begun) > 0) c->told[EDGES_LOST] = end - n - begun;
+    if (held) return;
+    /* Those before are lost, back to the first record: it is only known how many came since the ring of records began anew. */
+    if ((int32_t)(end - n - begun) > 0) c->told[EDGES_LOST] = end - n - begun;
+    else if (lost && age + (later_tick - c->lost_tick) <= span) c->told[EDGES_LOST] = 1;
 }
 
 /* Where blob 1 is in the rings. */
