@@ -317,7 +317,7 @@ void hbp_raise(struct hbp *h, uint32_t faults)
     if (!(faults & FAULT_MASK & ~before)) return;
     h->raised = ((raised & ~FAULT_MASK) + FAULT_MASK + 1u) | before | (faults & FAULT_MASK);
 #if HBP_CAPTURE
-    if (h->capture && (faults & FAULT_MASK & ~h->faults)) h->capture->raised = 1;
+    if (h->capture && (faults & FAULT_MASK & ~h->faults)) h->capture->calls.by.raised = 1;
 #endif
 }
 
