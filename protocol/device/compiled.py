@@ -28,6 +28,7 @@ from platformdirs import user_cache_path
 from protocol.descriptor import sample_dtype
 from protocol.device.app import DeviceApp, Extras, Identity
 from protocol.device.blobs import meanings_blob
+from protocol.device.records import LateSamples, Samples, made, rows_of
 from protocol.errors import Refused
 from protocol.messages import DriveState, Fault, Feature, SetpointMode
 from protocol.streams import EDGE_RECORD
@@ -176,7 +177,7 @@ class CompiledSession:
 
     @property
     def sampling(self) -> bool:
-        """See `DeviceSession.sampling`."""
+        """Whether a stream runs, or a capture takes samples."""
         return bool(self.running) or bool(self._lib.shim_capturing(self.at))
 
     @property
@@ -203,14 +204,14 @@ class CompiledSession:
         """What is left, 0xFFFF when the watchdog is not at work; `tick` must be that of the last look at the time."""
         return int(self._lib.shim_watchdog_ms(self.at))
 
-    def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
+    def push_samples(self, index0: int, tick0: int, samples: Samples) -> None:
         """See `DeviceSession.push_samples`; C makes the ticks itself."""
-        if raw.dtype != self._dtype:
-            raise TypeError(f"samples of {raw.dtype}, the channels make {self._dtype}")
-        rows = np.ascontiguousarray(raw)
+        if isinstance(samples, LateSamples) and not self.sampling:
+            return
+        rows = rows_of(made(samples, self.channels), self._dtype)
         edges = np.concatenate(self._edges) if self._edges else np.empty(0, EDGE_RECORD)
         self._edges.clear()
-        data = rows.ctypes.data, rows.itemsize, len(rows), edges.ctypes.data, len(edges)
+        data = rows.ctypes.data, self._dtype.itemsize, len(rows), edges.ctypes.data, len(edges)
         self._lib.shim_ticks(self.at, index0, *data)
 
     def push_edges(self, records: NDArray[np.void]) -> None:
