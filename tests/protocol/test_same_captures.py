@@ -238,7 +238,7 @@ def without_lost(frame: Frame) -> Frame:
     return Frame(frame.type, frame.flags, frame.tid, frame.node, frame.payload[:28] + bytes(4) + frame.payload[32:])
 
 
-@examples(40, 2000, campaign="c")
+@examples(12, 2000, campaign="c")
 @given(st.integers(0, (1 << 32) - 1))
 def test_c_captures_what_python_captures(seed: int) -> None:
     chance = Random(seed)
