@@ -51,6 +51,7 @@ _HOMES = {
 }  # fmt: skip
 
 for _folder in (
+    "capture",
     "compare",
     "export",
     "hall",

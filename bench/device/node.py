@@ -17,6 +17,7 @@ from zlib import crc32
 
 import numpy as np
 
+from bench.device.blob import DESCRIPTOR, part_bytes, read_part
 from bench.device.client import WATCHDOG, Client
 from bench.device.heard import ParameterSet
 from bench.device.safety import HEARTBEATS, Vigil, heard, says, switch_off, why_unfed, without_watchdog
@@ -29,8 +30,6 @@ from protocol.descriptor import Channel, Descriptor
 from protocol.errors import DeviceDefect, HbpError, NoReply, Refused
 from protocol.framing import MAX_PAYLOAD
 from protocol.messages import (
-    BlobRead,
-    BlobReply,
     Command,
     DriveState,
     Empty,
@@ -64,16 +63,12 @@ from protocol.signals import Flag
 from protocol.streams import MAX_STREAMS, STREAM_HEADER, StreamConfig
 from protocol.text import counted
 from protocol.validity import check_parameter
-from protocol.wire import ByteWire
 
 DRIVE, LOAD = 1, 2
 SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
 MAX_LATENCY_MS = 20  # with which the bench configures streams
 DUE = 0.15  # s after which the next heartbeat is late
-_BLOB_PART = 512
-_PART_TAKES = 0.05  # s, at most, that a part is under way on a UART: the request is repeated after 0.1 s
-_SMALLEST_PART = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,13 +122,9 @@ class Node:
         self._identity = self._descriptor = None
 
     def _read_descriptor(self) -> Descriptor:
-        blob = b""
-        total = 1
-        wire = self.client.session.wire
-        in_time = wire.baud / 10 * _PART_TAKES if isinstance(wire, ByteWire) else _BLOB_PART
-        part = int(min(_BLOB_PART, max(in_time, _SMALLEST_PART)))
+        blob, total, part = b"", 1, part_bytes(self)
         while len(blob) < total:
-            reply = self.client.request(BlobRead(id=0, length=part, offset=len(blob)), self.number, BlobReply)
+            reply = read_part(self, DESCRIPTOR, len(blob), part)
             total = reply.total
             if not reply.data and total:
                 raise NodeError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")
@@ -164,6 +155,11 @@ class Node:
     def offers_edges(self) -> bool:
         """Whether it can stream Hall edges."""
         return bool(self.identity.features & Feature.EDGES)
+
+    @property
+    def offers_capture(self) -> bool:
+        """Whether it holds samples in its own memory until a trigger freezes them."""
+        return bool(self.identity.features & Feature.CAPTURE)
 
     def parameters(self) -> dict[str, float]:
         """All parameters by name. Raises DeviceDefect if one of the values cannot be."""

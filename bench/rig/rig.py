@@ -8,6 +8,7 @@ waits without polling: what turns is watched, and its watchdog fed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
@@ -16,6 +17,9 @@ from itertools import product
 from pathlib import Path
 from typing import Self
 
+from bench.capture.memory import CaptureMemory
+from bench.capture.trigger import Trigger
+from bench.capture.wanted import Wanted
 from bench.device.client import LISTEN, POLL, Client
 from bench.device.heard import Sink
 from bench.device.node import ClockFit, Node
@@ -37,6 +41,7 @@ from bench.rig.rest import require_rest
 from bench.rig.restore import failures_of
 from bench.rig.runaway import RunawayGuard
 from bench.rig.settings import Settings
+from bench.rig.shots import SHARE, WAIT, FullRate, Shot
 from bench.rig.streams import configure, edge_rate
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle, speed_channel
@@ -47,11 +52,12 @@ from protocol.errors import HbpError
 from protocol.links import Link
 from protocol.messages import Role
 from protocol.signals import Flag, Signal, Unit
-from protocol.streams import StreamConfig
+from protocol.streams import MAX_DECIMATION, StreamConfig
 
 SILENCE = 2.0  # s without samples after which waiting for more is given up
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 LATE = 1.0  # s that samples of a stretch may come after its end
+FEW = 4  # samples that are waited for, however short a stretch is
 CORE = ("hall", "status", "i_a", "i_d", "i_q")
 """What is streamed, beside reference and estimates, where a link cannot carry everything."""
 
@@ -99,6 +105,8 @@ class Rig:
         """What is done when the drive has been stopped."""
         self.samples: StreamConfig | None = None
         """The stream of samples, once it is configured."""
+        self.full_rate: FullRate | None = None
+        """What holds in the drive what the link is too slow for; None where it carries all."""
         self.load: Load = NoLoad()
         self.before: tuple[ParameterValue, ...] = ()
         """The drive's parameters before the run."""
@@ -149,17 +157,24 @@ class Rig:
         channels: Sequence[tuple[Channel, ...]] | None = None,
         recording: Recording | None = None,
         needed: frozenset[str] = frozenset(),
+        held: bool = False,
+        full: bool = False,
     ) -> Self:
         """Find the load, stream `channels` (see `configure`; None: what a drive has, with those `needed`) and record.
 
-        The drive must be at rest, but in a passive rig. Closed where that fails. Raises BenchError and HbpError.
+        `held`: where the link carries less than the PWM rate, what is measured comes out of the drive's memory, if it
+        has one; with `full` always at the PWM rate. The drive must be at rest, but in a passive rig. Closed where that
+        fails. Raises BenchError and HbpError.
         """
         try:
             self.take()
             self.learn()
             if not self.plan.passive:
                 self.load = self._find_load()
-            self.recorder.expect(self.configure(channels or self._most_channels(needed), slower=True))
+            choices = channels or self._most_channels(needed)
+            self.recorder.expect(self.configure(choices, slower=True))
+            if held and self.samples is not None and self.samples.rate < self.drive.node.identity.pwm_hz:
+                self._hold(choices[-1], full)
             self.record_to(recording or Recording(), [self.recorder])
             self.drive.node.start_streams()
             self.wait(2 * POLL)
@@ -221,6 +236,16 @@ class Rig:
         self.samples = configure(node, choices, decimation, slower, edges_per_s)
         return edges
 
+    def _hold(self, channels: tuple[Channel, ...], full: bool) -> None:
+        """Have the drive hold what is measured, and the link carry the less: what is read goes beside its streams."""
+        node = self.drive.node
+        if not node.offers_capture:
+            return
+        self.full_rate = FullRate(self, channels, full)
+        assert self.samples is not None
+        if node.load > SHARE and (slower := math.ceil(self.samples.decimation * node.load / SHARE)) <= MAX_DECIMATION:
+            self.samples = node.set_samples(channels, slower)
+
     def load_machine(self) -> NodeLoad | None:
         """The load machine at node 2 of the drive's link, if there is one; BenchError for a node of another kind."""
         node = second_node(self.client)
@@ -266,7 +291,8 @@ class Rig:
 
         `more`: channels that the host adds to those that are streamed. Raises RecordingError or ViewerError.
         """
-        plan, channels = self.plan, (*self.channels, *more)
+        plan, streamed = self.plan, () if self.samples is None else self.samples.channels
+        channels = (*streamed, *more)
         info = run_info(self.drive.node, plan.target, channels, self.drive.parameters, plan.settings, **recording.about)
         outputs = self.outputs = Outputs(info, recording, plan.virtual)
         self._stack.callback(outputs.close)
@@ -404,25 +430,85 @@ class Rig:
         return self.client.wait(condition, timeout, self._poll)
 
     def record(self, seconds: float) -> Capture:
-        """The next `seconds` of device time. Raises DriveTripped, and BenchError when no samples come."""
+        """The next `seconds` of device time. Raises DriveTripped, and BenchError when no samples come.
+
+        Where the link is too slow they come out of the drive's memory, at the PWM rate: that takes longer.
+        """
+        return self.streamed(seconds) if self.full_rate is None else self.full_rate.record(seconds)
+
+    def streamed(self, seconds: float) -> Capture:
+        """The same as the link carries it, whatever its rate: to see whether something has settled.
+
+        At least some samples are waited for.
+        """
+        seconds = max(seconds, FEW / self.samples.rate if self.samples is not None else 0.0)
         first = self.tick()
         last = first + round(seconds * self.recorder.tick_hz)
         self.until(lambda: self.recorder.newest >= last or self._silent(first), seconds + LATE)
-        return self.capture(first, last)
+        return self.between(first, last)
 
     @contextmanager
-    def recording(self) -> Iterator[Stretch]:
-        """What happens inside becomes `Stretch.capture`, also when it ends in an exception."""
+    def recording(self, seconds: float | None = None) -> Iterator[Stretch]:
+        """What happens inside becomes `Stretch.capture`, also when it ends in an exception.
+
+        `seconds`: how long it will last about, for a drive that has to hold it in its memory; None: 2.5 s at most.
+        """
+        begun = None if self.full_rate is None else self.full_rate.begin(seconds)
         stretch = Stretch(self, self.tick())
         try:
             yield stretch
         finally:
             stretch.last = self.tick() if self.client.health.down_since is None else self.recorder.newest
+            if begun is not None and self.full_rate is not None:
+                stretch.held = self.full_rate.end(begun, stretch.first, stretch.last)
         if self.recorder.newest < stretch.last:
             self.until(lambda: self.recorder.newest >= stretch.last, LATE)
 
-    def capture(self, first: int, last: int) -> Capture:
-        """What came between two device ticks. BenchError if nothing did."""
+    def capture(
+        self,
+        trigger: str,
+        seconds: float = 0.1,
+        pre: float = 0.2,
+        *,
+        channels: Sequence[str] | None = None,
+        decimation: int = 1,
+        edges: int | None = None,
+        timeout: float = WAIT,
+    ) -> Shot:
+        """A capture in the drive's own memory, at the PWM rate whatever the link carries.
+
+        Use it as a context manager: it is armed when the block is entered, and read when it is left.
+
+        Args:
+            trigger: what freezes it: `i_q > 4`, `i_q rises 4`, `status changes`, `pulse < 5 us`, `fault`, `state`,
+                `illegal` or `now`.
+            seconds: its length, of which the share `pre` (0 to 1) lies before the trigger.
+            channels: names, as for `bench.connect`; None: all but those on request.
+            decimation: PWM periods from sample to sample.
+            edges: Hall edges for which room is kept; None: as many as the highest speed makes.
+            timeout: s that the trigger is waited for at the block's end.
+
+        Returns:
+            The shot: `.capture` after the block, `.t0` the device time of the trigger, `.save(path)` writes a run.
+
+        Raises:
+            BenchError: a drive that holds no captures, a trigger or a channel that there is not, more than fits; at the
+                block's end no trigger in time.
+        """
+        return Shot(self, Wanted(Trigger.parse(trigger), seconds, pre, channels, decimation, edges), timeout)
+
+    def at_fault(self) -> Capture:
+        """What the drive held at its last fault, without having been asked; it is given up then.
+
+        Raises BenchError where it holds nothing.
+        """
+        memory = CaptureMemory(self.drive.node)
+        captured = memory.read(memory.frozen())
+        memory.give_up()
+        return captured.capture(self.drive.parameters)
+
+    def between(self, first: int, last: int) -> Capture:
+        """What came by the link between two device ticks. BenchError if nothing did."""
         if self.recorder.newest < first:
             raise BenchError(f"no DATA for {SILENCE:g} s on {self.client.link.name}")
         return self.recorder.capture(first, last, self.drive.parameters)
@@ -533,14 +619,19 @@ class Rig:
         return f"Rig on {self.plan.target}: {machines}, {streamed}"
 
     @property
+    def _measured(self) -> StreamConfig | None:
+        """How samples come that `record` gives."""
+        return self.samples if self.full_rate is None else self.full_rate.stream
+
+    @property
     def channels(self) -> tuple[Channel | Signal, ...]:
-        """Those that are streamed."""
-        return () if self.samples is None else self.samples.channels
+        """Those that are streamed, or held in the drive's memory."""
+        return () if self._measured is None else self._measured.channels
 
     @property
     def rate(self) -> float:
-        """Samples a second."""
-        return 0.0 if self.samples is None else self.samples.rate
+        """Samples a second that `record` gives."""
+        return 0.0 if self._measured is None else self._measured.rate
 
     @property
     def has_encoder(self) -> bool:
@@ -560,10 +651,16 @@ class Rig:
             "time": "virtual" if self.plan.virtual else "real",
             "load": f"{self.plan.settings.load}: {', '.join(sorted(load.abilities))}" if load.abilities else "none",
             "encoder": "yes" if self.has_encoder else "no",
-            "streamed": f"{len(self.channels)} channels at {self.rate:g} Hz",
+            "streamed": self._streamed(),
             "bench.toml": str(self.plan.settings.path or "none"),
             "configuration": self._configuration() if self.plan.virtual else "of the drive",
         }
+
+    def _streamed(self) -> str:
+        words = f"{len(self.channels)} channels at {self.rate:g} Hz"
+        if self.full_rate is None or self.samples is None:
+            return words
+        return f"{words} out of the drive's memory; the link carries {self.samples.rate:g} Hz"
 
     def _configuration(self) -> str:
         config = self.plan.settings.config
@@ -582,7 +679,7 @@ class Rig:
             dropped_by_device=self.recorder.device.risen["tx_dropped"],
             damaged_frames=self.client.session.counters.framing.bad,
             outages=self.client.health.outages,
-            rate=self.rate,
+            rate=0.0 if self.samples is None else self.samples.rate,
             seconds=self.recorder.seconds,
             remarks=tuple(words for _, _, words in self.recorder.dropped),
         )
@@ -612,8 +709,10 @@ class Stretch:
     rig: Rig
     first: int
     last: int = -1
+    held: Capture | None = None
+    """What the drive's memory held of it, where the link is too slow."""
 
     @property
     def capture(self) -> Capture:
         """What came in it. BenchError if nothing did."""
-        return self.rig.capture(self.first, self.last)
+        return self.rig.between(self.first, self.last) if self.held is None else self.held

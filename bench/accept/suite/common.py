@@ -240,7 +240,7 @@ def run_at(drive: Drive, record: Record, speed_rpm: float, seconds: float) -> No
 
 def around(record: Record, before: float, command: Callable[[], object], after: float) -> Capture:
     """From `before` s before a command to `after` s after it."""
-    with record.stretch() as stretch:
+    with record.stretch(before + after) as stretch:
         record.wait(before)
         command()
         record.wait(after)
@@ -255,7 +255,7 @@ def settle(record: Record, speed_rpm: float, within: float = 0.03, timeout: floa
     turn = 60.0 / abs(speed_rpm)
     good = 0
     for _ in range(math.ceil(timeout / turn)):
-        off = abs(float(rpm(record(turn)).mean()) - speed_rpm)
+        off = abs(float(rpm(record.streamed(turn)).mean()) - speed_rpm)
         good = good + 1 if off <= within * abs(speed_rpm) else 0
         if good == 2:
             return True

@@ -182,7 +182,7 @@ def place(load: Load, record: Record) -> None:
 def start_up(drive: Drive, load: Load, record: Record, observer: str, speed: float) -> Transient:
     """From rest to `speed` r/min; afterwards the shaft is at rest again, and the outputs are off."""
     place(load, record)
-    with record.stretch() as stretch:
+    with record.stretch(1.3 + early(drive, speed)) as stretch:
         record.wait(0.05)
         drive.start(observer)
         drive.speed(rpm=speed)
