@@ -23,7 +23,7 @@ _COMPARED = {
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FORM = re.compile(
-    rf"(?P<channel>[^\s<>=()]+)\s*(?P<how><=|>=|<|>|\b[a-z]+\b)\s*(?P<value>{_NUMBER})?\s*(?P<unit>[^\s\d.+-]\S*)?"
+    rf"(?P<channel>[^\s<>=()]+)\s*(?P<how><=|>=|<|>|\b[a-z]+\b)\s*(?P<value>{_NUMBER})?\s*(?P<unit>(?:1/)?[^\s\d.+-]\S*)?"
 )
 KINDS = {
     CaptureTrigger.NOW: "now", CaptureTrigger.ABOVE: "a channel above a level",

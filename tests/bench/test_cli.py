@@ -21,7 +21,20 @@ from bench.record.reader import Run
 from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
-COMMANDS = ["live", "capture", "view", "mark", "plot", "measure", "compare", "import", "export", "accept", "conform", "hall"]
+COMMANDS = [
+    "live",
+    "capture",
+    "view",
+    "mark",
+    "plot",
+    "measure",
+    "compare",
+    "import",
+    "export",
+    "accept",
+    "conform",
+    "hall",
+]
 COMMANDS += ["replay", "study", "tune", "score", "motor", "sim", "devices", "info", "protocol", "completion"]
 
 
