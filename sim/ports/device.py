@@ -80,7 +80,7 @@ class SimulatedDevice:
         self._channels = tuple(drive.channels)
         self.drive: Session = self.network.add(
             drive,
-            identity(1, Role.DRIVE, "simulated drive", Feature.EDGES | Feature.SIMULATED | commit),
+            identity(1, Role.DRIVE, "simulated drive", Feature.EDGES | Feature.SIMULATED | Feature.COMMISSION | commit),
         )
         self.load: Session = self.network.add(
             LoadApp(self.bench), identity(2, Role.LOAD, "load machine", Feature.SIMULATED)
