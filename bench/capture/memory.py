@@ -133,12 +133,12 @@ class CaptureMemory:
         node = self.node
         boot_id, channels = node.identity.boot_id, self._channels(status)
         streams = streams_of(node, status, channels)
-        data, part, size = bytearray(), part_bytes(node), status.size
+        data, part, size = bytearray(), part_bytes(node.client.session.wire), status.size
         pause = pause or node.client.run_for
         while len(data) < size:
             began = node.client.now()
             try:
-                reply = read_part(node, CAPTURE, len(data), min(part, size - len(data)))
+                reply = read_part(node.client, node.number, CAPTURE, len(data), min(part, size - len(data)))
             except Refused as refusal:
                 raise NodeError(f"node {node.number} no longer gives capture {status.number}: {refusal}") from None
             except (LinkError, NoReply) as error:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from bench.device.client import Client
 from protocol.canmap.host import CanWire
 from protocol.framing import MAX_PAYLOAD
 from protocol.messages import BlobRead, BlobReply
-from protocol.wire import ByteWire
-
-if TYPE_CHECKING:
-    from bench.device.node import Node
+from protocol.wire import ByteWire, HostWire
 
 DESCRIPTOR, CAPTURE = 0, 1
 """Numbers of blobs."""
@@ -19,9 +15,8 @@ _SMALLEST_PART = 16
 _CAN_DATA = 7  # bytes of a message in a classic frame
 
 
-def part_bytes(node: Node) -> int:
+def part_bytes(wire: HostWire) -> int:
     """Bytes that are asked for at once: as many as a reply holds, or as the link carries in `_PART_TAKES`."""
-    wire = node.client.session.wire
     in_time = float(MAX_PAYLOAD)
     if isinstance(wire, ByteWire):
         in_time = wire.baud / 10 * _PART_TAKES
@@ -30,9 +25,9 @@ def part_bytes(node: Node) -> int:
     return int(max(min(in_time, MAX_PAYLOAD - BlobReply.FIXED_BYTES), _SMALLEST_PART))
 
 
-def read_part(node: Node, blob: int, offset: int, length: int) -> BlobReply:
-    """At most `length` bytes from `offset` on, as many as the device gives at once; with none only at the blob's end.
+def read_part(client: Client, node: int, blob: int, offset: int, length: int) -> BlobReply:
+    """At most `length` bytes of node number `node` from `offset` on, as many as it gives at once; none at the end.
 
     Raises Refused for a blob that it does not have, NoReply and LinkError.
     """
-    return node.client.request(BlobRead(id=blob, length=length, offset=offset), node.number, BlobReply)
+    return client.request(BlobRead(id=blob, length=length, offset=offset), node, BlobReply)

@@ -122,9 +122,9 @@ class Node:
         self._identity = self._descriptor = None
 
     def _read_descriptor(self) -> Descriptor:
-        blob, total, part = b"", 1, part_bytes(self)
+        blob, total, part = b"", 1, part_bytes(self.client.session.wire)
         while len(blob) < total:
-            reply = read_part(self, DESCRIPTOR, len(blob), part)
+            reply = read_part(self.client, self.number, DESCRIPTOR, len(blob), part)
             total = reply.total
             if not reply.data and total:
                 raise NodeError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")

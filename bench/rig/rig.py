@@ -25,6 +25,7 @@ from bench.device.heard import Sink
 from bench.device.node import ClockFit, Node
 from bench.device.safety import is_off, says
 from bench.errors import BenchError, DriveFailed, OutputsMayBeOn, SeveralDevices
+from bench.record.info import RunInfo
 from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.envelope import Envelope
@@ -241,7 +242,8 @@ class Rig:
         node = self.drive.node
         if not node.offers_capture:
             return
-        self.full_rate = FullRate(self, channels, full)
+        self.full_rate = FullRate(self.drive, self.until, self.plan.target, channels, full)
+        self.at_end.append(self.full_rate.close)
         assert self.samples is not None
         if node.load > SHARE and (slower := math.ceil(self.samples.decimation * node.load / SHARE)) <= MAX_DECIMATION:
             self.samples = node.set_samples(channels, slower)
@@ -293,8 +295,7 @@ class Rig:
         """
         plan, streamed = self.plan, () if self.samples is None else self.samples.channels
         channels = (*streamed, *more)
-        info = run_info(self.drive.node, plan.target, channels, self.drive.parameters, plan.settings, **recording.about)
-        outputs = self.outputs = Outputs(info, recording, plan.virtual)
+        outputs = self.outputs = Outputs(self._info(channels, **recording.about), recording, plan.virtual)
         self._stack.callback(outputs.close)
         if outputs.file is not None and not plan.goes_on:
             self._stack.callback(outputs.file.close)
@@ -303,6 +304,11 @@ class Rig:
         self.client.sinks = [*watching, *([] if plan.passive else [self.guard()]), *outputs.sinks]
         self.client.tell_misdated()
         return outputs
+
+    def _info(self, channels: tuple[Channel | Signal, ...], **about: str) -> RunInfo:
+        """What a run of these channels says of itself."""
+        plan = self.plan
+        return run_info(self.drive.node, plan.target, channels, self.drive.parameters, plan.settings, **about)
 
     def guard(self) -> RunawayGuard:
         """A sink by which `drive` sees that its motor runs away; the streams are configured, the parameters known."""
@@ -495,7 +501,8 @@ class Rig:
             BenchError: a drive that holds no captures, a trigger or a channel that there is not, more than fits; at the
                 block's end no trigger in time.
         """
-        return Shot(self, Wanted(Trigger.parse(trigger), seconds, pre, channels, decimation, edges), timeout)
+        wanted = Wanted(Trigger.parse(trigger), seconds, pre, channels, decimation, edges)
+        return Shot(self.drive, self.until, wanted, timeout, self._info)
 
     def at_fault(self) -> Capture:
         """What the drive held at its last fault, without having been asked; it is given up then.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from bench.capture.decode import Captured
 from bench.capture.memory import CaptureMemory, Until
@@ -16,17 +17,17 @@ from bench.capture.trigger import Trigger
 from bench.capture.wanted import EDGES_PER_SECOND, Wanted
 from bench.errors import BenchError
 from bench.files import check_output
-from bench.rig.metadata import run_info
+from bench.record.info import RunInfo
+from bench.rig.drive import Drive
 from bench.rig.streams import edge_rate
 from bench.signal.capture import Capture
 from protocol.descriptor import Channel
 from protocol.errors import HbpError
 from protocol.messages import CaptureState, StreamEvent
+from protocol.signals import Signal
 from protocol.streams import EDGE_RECORD, MAX_DECIMATION, StreamConfig
 
-if TYPE_CHECKING:
-    from bench.rig.rig import Rig
-
+InfoOf = Callable[[tuple[Channel | Signal, ...]], RunInfo]
 WAIT = 10.0  # s that a trigger is waited for, where nobody says how long
 LATE = 1.5  # s after its last record within which a capture is complete, and told
 STRETCH = 2.5  # s that what happens in a block may last, where nobody says how long
@@ -38,15 +39,16 @@ _NOW = Trigger.parse("now")
 
 
 class Shot:
-    """One capture: armed when its block is entered, read when it is left; see `Rig.capture`.
+    """One capture: armed when its block is entered, read when it is left; see `bench.rig.rig.Rig.capture`.
 
     A trip of the drive in the block freezes it, too: it is read before DriveTripped goes on. After any other exception
     nothing is left armed.
     """
 
-    def __init__(self, rig: Rig, wanted: Wanted, timeout: float) -> None:
-        self._rig, self._wanted, self._timeout = rig, wanted, timeout
-        self._memory = CaptureMemory(rig.drive.node)
+    def __init__(self, drive: Drive, until: Until, wanted: Wanted, timeout: float, info: InfoOf) -> None:
+        """`until` lets the bench go on; `info` is what a run of these channels says of itself."""
+        self._drive, self._until, self._wanted, self._timeout, self._info = drive, until, wanted, timeout, info
+        self._memory = CaptureMemory(drive.node)
         self._number = 0
         self._captured: Captured | None = None
 
@@ -59,7 +61,7 @@ class Shot:
     ) -> None:
         try:
             if error is None:
-                self._read(self._timeout, self._rig.until)
+                self._read(self._timeout, self._until)
         except BenchError:
             self._rescue()
             raise
@@ -96,7 +98,7 @@ class Shot:
     @property
     def capture(self) -> Capture:
         """Samples and Hall edges. BenchError before it was read."""
-        return self.captured.capture(self._rig.drive.parameters)
+        return self.captured.capture(self._drive.parameters)
 
     @property
     def t0(self) -> float:
@@ -105,11 +107,10 @@ class Shot:
 
     def save(self, path: str | Path, overwrite: bool = False) -> None:
         """Write it as a run. Raises BenchError."""
-        path, captured, rig = Path(path), self.captured, self._rig
+        path, captured = Path(path), self.captured
         check_output(path, str(path), overwrite, recording=True)
-        channels = captured.stream.channels
-        info = run_info(rig.drive.node, rig.plan.target, channels, rig.drive.parameters, rig.plan.settings)
-        store(captured, path, info, about(captured, self._wanted.trigger.text, self._wanted.pre), overwrite)
+        told = about(captured, self._wanted.trigger.text, self._wanted.pre)
+        store(captured, path, self._info(captured.stream.channels), told, overwrite)
 
 
 class FullRate:
@@ -119,13 +120,12 @@ class FullRate:
     taken at a lower one, unless `full`: then BenchError says so.
     """
 
-    def __init__(self, rig: Rig, channels: tuple[Channel, ...], full: bool) -> None:
+    def __init__(self, drive: Drive, until: Until, target: str, channels: tuple[Channel, ...], full: bool) -> None:
         """BenchError where the drive holds something that nobody has fetched."""
-        self._rig, self.channels, self.full = rig, channels, full
-        self._memory = CaptureMemory(rig.drive.node)
-        identity, status = rig.drive.node.identity, self._memory.status()
+        self._drive, self._until, self.channels, self.full = drive, until, channels, full
+        self._memory = CaptureMemory(drive.node)
+        identity, status = drive.node.identity, self._memory.status()
         if status.state == CaptureState.FROZEN:
-            target = rig.plan.target
             raise BenchError(
                 f"the tests need the drive's memory for captures, and it holds one: fetch it with `bench capture "
                 f"{target} --at-fault -o RUN`, or give it up with --discard"
@@ -134,14 +134,13 @@ class FullRate:
             identity.node, 0, 0, StreamEvent.PWM, 1, channels, 1, tick_hz=identity.tick_hz, pwm_hz=identity.pwm_hz
         )
         self.room = status.room
-        self._edges_per_s = MORE_EDGES * (edge_rate(rig.drive.node, rig.drive.envelope) or EDGES_PER_SECOND)
-        rig.at_end.append(self._give_up)
+        self._edges_per_s = MORE_EDGES * (edge_rate(drive.node, drive.envelope) or EDGES_PER_SECOND)
 
     def record(self, seconds: float) -> Capture:
         """The next `seconds`. Raises DriveTripped, and BenchError where the memory does not hold them."""
-        captured = self._read(self._begin(seconds), seconds, self._rig.until)
+        captured = self._read(self._begin(seconds), seconds, self._until)
         first = int(captured.samples.tick[0])
-        return captured.capture(self._rig.drive.parameters).ticks(first, first + round(seconds * self.stream.tick_hz))
+        return captured.capture(self._drive.parameters).ticks(first, first + round(seconds * self.stream.tick_hz))
 
     def begin(self, seconds: float | None) -> tuple[int, float]:
         """Take down what comes from now on, at least `seconds` of it; returns what `end` needs."""
@@ -151,7 +150,7 @@ class FullRate:
     def end(self, begun: tuple[int, float], first: int, last: int) -> Capture:
         """What came between two device ticks of what was begun; what the memory did not hold counts as lost."""
         captured = self._read(*begun, None)
-        capture = captured.capture(self._rig.drive.parameters)
+        capture = captured.capture(self._drive.parameters)
         newest, hz = int(captured.samples.tick[-1]), self.stream.tick_hz
         if newest < last - captured.stream.period_ticks * captured.stream.decimation:
             words = f"the drive's memory held no sample after {newest / hz:.4f} s: give record.stretch() its length"
@@ -185,6 +184,6 @@ class FullRate:
         self._memory.give_up()
         return captured
 
-    def _give_up(self) -> None:
+    def close(self) -> None:
         """At the end of the rig: the drive waits for faults again, as it did before."""
         self._memory.give_up()
