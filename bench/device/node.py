@@ -483,7 +483,7 @@ class Node:
         """The streams that are configured in it now, by whomever."""
         configs = []
         for info in self.configured_streams():
-            if info.event not in (StreamEvent.PWM, StreamEvent.EDGES):
+            if info.event not in (StreamEvent.PWM, StreamEvent.EDGES, StreamEvent.MEAN):
                 continue  # of a later version
             request = StreamSet(info.stream, info.event, info.decimation, info.max_latency_ms, info.channels)
             reply = StreamReply(info.stream, info.cfg_id, info.sample_bytes, info.block, 0.0, info.slot, info.tick0)

@@ -343,6 +343,12 @@ class Clock(Section):
         return self.tick_hz // self.pwm_hz
 
 
+class Memory(Section):
+    """The drive's memory."""
+
+    capture: Whole = _number("bytes", ge=0, le=1 << 28)
+
+
 class HallSpeed(Section):
     """Front end of the Hall sensors in the firmware."""
 
@@ -484,6 +490,7 @@ class BenchParams(Section):
     inverter: Inverter
     current_sensor: CurrentSensor
     clock: Clock
+    memory: Memory
     firmware: Firmware
 
     @model_validator(mode="after")

@@ -25,6 +25,7 @@ from protocol.signals import (
     AngleSource,
     Flag,
     Parameter,
+    Signal,
 )
 from sim.config.params import ConfigError
 from sim.drive.channels import SOURCES, channels
@@ -38,6 +39,11 @@ LIMITED = {
     "test_speed": ("speed", ("omega_m_max",)),
 }
 """Parameters of commissioning that others limit: what they are, and the others, whose product is the limit."""
+AT_A_FAULT = frozenset(
+    "hall status theta_enc omega_enc i_a i_b i_c u_alpha u_beta u_dc i_d i_q i_d_ref i_q_ref omega_ref "  # noqa: SIM905
+    "theta_avg omega_avg theta_vt omega_vt theta_ctrl".split()
+)
+"""Channels of the capture that waits for a fault: what is measured and controlled, and estimated in any case."""
 
 
 class DriveApp:
@@ -59,7 +65,7 @@ class DriveApp:
         """See `DeviceApp`."""
         sources = float(AngleSource.ENCODER if encoder else AngleSource.AVERAGE_SPEED), float(max(SOURCES))
         self.waveform = bench.waveform
-        """See `DeviceApp`."""
+        """See `protocol.device.app.Extras`."""
         ranges = {"observer": sources, "test_length": (0.0, float(len(self.waveform)))}
         self.parameters = tuple(
             replace(p, lo=ranges[p.name][0], hi=ranges[p.name][1]) if p.name in ranges else p
@@ -67,6 +73,10 @@ class DriveApp:
             if encoder or not p.name.startswith("encoder_")
         )
         """See `DeviceApp`."""
+        self.meanings = _meanings(self.channels, self.parameters)
+        """See `protocol.device.app.Extras`."""
+        self.fault_channels = tuple(channel.name for channel in self.channels if channel.name in AT_A_FAULT)
+        """See `protocol.device.app.Extras`."""
         if store is not None:
             for name, value in _read_store(store, self.parameters).items():
                 bench.set_param(name, value)
@@ -169,6 +179,8 @@ class LoadApp:
 
     def __init__(self, bench: SimulatedBench) -> None:
         self._bench = bench
+        self.meanings = _meanings(self.channels, self.parameters)
+        """See `protocol.device.app.Extras`."""
         self._defaults = dict(bench.load_parameters)
         self.outputs_on = False
         """See `DeviceApp`."""
@@ -210,6 +222,11 @@ class LoadApp:
     def commit(self) -> None:
         """Refused: the load machine keeps nothing."""
         raise Refused("the load machine has no store", ErrorCode.NOT_SUPPORTED)
+
+
+def _meanings(channels: Sequence[Signal], parameters: Sequence[Parameter]) -> dict[str, str]:
+    """What these are, by name."""
+    return {channel.name: channel.about for channel in channels} | {each.name: each.about for each in parameters}
 
 
 def _limit(what: str, size: float, limit: float) -> None:
