@@ -114,8 +114,8 @@ class CaptureMemory:
         """What it says of the capture that it holds. Raises NodeError where there is none yet."""
         now = self.status()
         if now.state != CaptureState.FROZEN:
-            waits = f"it is {now.state.name} and waits for {kind_words(now)}"
-            raise NodeError(f"node {self.node.number} holds no capture: {waits}")
+            waits = f"it is {now.state.name}, for {kind_words(now)}"
+            raise NodeError(f"node {self.node.number} holds no capture: {waits}; nothing has frozen one since")
         return now
 
     def read(

@@ -63,7 +63,8 @@ class Wanted:
         if self.trigger.kind in (CaptureTrigger.ILLEGAL, CaptureTrigger.PULSE) and not node.offers_edges:
             raise NodeError(f"--trigger '{self.trigger.text}': node {node.number} takes no Hall edges down")
         total = max(round(self.seconds * node.identity.pwm_hz / self.decimation), 1)
-        before = min(int(self.pre * total), total - 1)
+        pre = 0.0 if self.trigger.kind == CaptureTrigger.NOW else self.pre  # before it nothing is held
+        before = min(int(pre * total), total - 1)
         return CaptureArm(
             self.trigger.kind, 0, self.decimation, before, total - before, self.trigger.level,
             0 if at is None else at.id, self._edges(node), tuple(channel.id for channel in chosen),

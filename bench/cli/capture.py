@@ -74,7 +74,7 @@ def command(target: str, json_file: Path | None, overwrite: bool, **given: Any) 
 
     \b
     Examples:
-      bench capture can:socketcan/can0?host=1 --trigger 'i_q > 4' --pre 20% -o shot.run
+      bench capture 'can:socketcan/can0?host_number=1' --trigger 'i_q > 4' --pre 20% -o shot.run
       bench capture serial:/dev/ttyACM0 --trigger 'i_q rises 4' --for 0.05 --arm
       bench capture serial:/dev/ttyACM0 --at-fault -o fault.run
     """
