@@ -34,6 +34,7 @@ PATIENCE = 30.0
 """s that a link which has gone is waited for."""
 _LOOK = 0.1  # s between looks at a capture that waits for its trigger
 _AGAIN = 0.2  # s between attempts to reach a drive that does not answer
+_LATE, _CATCH_UP = 0.25, 5.0  # s by which streams may be late beside a capture, and in which they are no longer
 _MOST_LOAD = 0.9  # of the link by streams, beside which a capture still gets something
 
 Progress = Callable[[int, int], object]
@@ -149,15 +150,24 @@ class CaptureMemory:
                 raise DriveFailed(f"capture {status.number} of node {node.number} ends at {ends} of {size} bytes")
             data += reply.data
             progress(len(data), size)
-            load = min(node.load, _MOST_LOAD)
-            if load > 0.0 and len(data) < size:
-                pause((node.client.now() - began) * load / (1.0 - load))
+            if len(data) < size:
+                self._leave_room(node.client.now() - began, pause)
         if (crc := crc32(data)) != status.crc:
             raise DriveFailed(
                 f"capture {status.number} of node {node.number} has CRC {crc:08x}, it told {status.crc:08x}: it is not "
                 "what the drive has frozen; it is still there, to be read again"
             )
         return Captured(status, boot_id, *streams, bytes(data))
+
+    def _leave_room(self, took: float, pause: Callable[[float], object]) -> None:
+        """After a part that took so many s: what the streams need meanwhile, and until they are no longer late."""
+        node, client = self.node, self.node.client
+        load = min(node.load, _MOST_LOAD)
+        if load > 0.0:
+            pause(took * load / (1.0 - load))
+        allowed, end = _LATE * node.identity.tick_hz, client.now() + _CATCH_UP
+        while client.late(node.number) > allowed and client.now() < end:
+            pause(_LOOK)
 
     def _channels(self, status: CaptureReply) -> tuple[Channel, ...]:
         number, ids = self._armed

@@ -11,15 +11,13 @@ from bench.capture.decode import Captured
 from bench.capture.memory import frozen_words
 from bench.device.heard import Chunk, Note
 from bench.errors import RecordingError
-from bench.record.info import Mark, RunInfo
+from bench.record.info import CAPTURE, Mark, RunInfo
 from bench.record.writer import RunWriter
 from bench.signal.chunks import BEGIN, between, part, streams_none
 from protocol.codes import fault_names
 from protocol.messages import CaptureTrigger
 from protocol.text import counted
 
-KEY = "capture"
-"""In what a run says of itself: that it is a capture, with what `about` tells."""
 _PIECE = 1.0  # s that a reader of the run gets at once
 
 
@@ -44,7 +42,7 @@ def store(captured: Captured, path: Path, info: RunInfo, told: dict[str, Any], o
     `info` is of the drive; its channels are replaced by those of the capture. Raises RecordingError.
     """
     status = captured.status
-    info = replace(info, channels=captured.stream.channels, identity={**info.identity, KEY: told})
+    info = replace(info, channels=captured.stream.channels, identity={**info.identity, CAPTURE: told})
     try:
         writer = RunWriter(path, info, overwrite, whole=True)
     except OSError as error:
