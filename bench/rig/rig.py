@@ -108,6 +108,7 @@ class Rig:
         """The stream of samples, once it is configured."""
         self.full_rate: FullRate | None = None
         """What holds in the drive what the link is too slow for; None where it carries all."""
+        self._edges = False  # whether Hall edges are streamed
         self.load: Load = NoLoad()
         self.before: tuple[ParameterValue, ...] = ()
         """The drive's parameters before the run."""
@@ -173,9 +174,10 @@ class Rig:
             if not self.plan.passive:
                 self.load = self._find_load()
             choices = channels or self._most_channels(needed)
-            self.recorder.expect(self.configure(choices, slower=True))
-            if held and self.samples is not None and self.samples.rate < self.drive.node.identity.pwm_hz:
-                self._hold(choices[-1], full)
+            edges = self.configure(choices, slower=True)
+            if held and self.rate < self.drive.node.identity.pwm_hz and self.drive.node.offers_capture:
+                edges = self._hold(choices[-1], full)
+            self.recorder.expect(edges)
             self.record_to(recording or Recording(), [self.recorder])
             self.drive.node.start_streams()
             self.wait(2 * POLL)
@@ -226,27 +228,34 @@ class Rig:
             raise BenchError(f"{target} {other}: watching it would take these streams away")
 
     def configure(
-        self, choices: Sequence[tuple[Channel, ...]], decimation: int = 1, slower: bool = False
+        self, choices: Sequence[tuple[Channel, ...]], decimation: int = 1, slower: bool = False, edges: bool = True
     ) -> StreamConfig:
-        """Configure edges, and samples as `bench.rig.streams.configure` does; returns the stream of edges."""
-        node, identity = self.drive.node, self.drive.node.identity
-        edges = (
-            node.set_edges() if node.offers_edges else no_edge_stream(node.number, identity.tick_hz, identity.pwm_hz)
-        )
-        edges_per_s = edge_rate(node, self.drive.envelope) if slower else 0.0
-        self.samples = configure(node, choices, decimation, slower, edges_per_s)
-        return edges
+        """Configure edges, if they are wanted, and samples as `bench.rig.streams.configure` does.
 
-    def _hold(self, channels: tuple[Channel, ...], full: bool) -> None:
-        """Have the drive hold what is measured, and the link carry the less: what is read goes beside its streams."""
+        Returns the stream of edges.
+        """
+        node, identity = self.drive.node, self.drive.node.identity
+        self._edges = edges and node.offers_edges
+        none = no_edge_stream(node.number, identity.tick_hz, identity.pwm_hz)
+        stream = node.set_edges() if self._edges else none
+        edges_per_s = edge_rate(node, self.drive.envelope) if slower and self._edges else 0.0
+        self.samples = configure(node, choices, decimation, slower, edges_per_s)
+        return stream
+
+    def _hold(self, channels: tuple[Channel, ...], full: bool) -> StreamConfig:
+        """Have the drive hold what is measured, and the link carry the less: what is read goes beside its streams.
+
+        Hall edges are held, too; at high speeds they would take all of a slow link.
+        """
         node = self.drive.node
-        if not node.offers_capture:
-            return
         self.full_rate = FullRate(self.drive, self.until, self.plan.target, channels, full)
         self.at_end.append(self.full_rate.close)
+        node.stop_streams()
+        edges = self.configure([channels], slower=True, edges=False)
         assert self.samples is not None
         if node.load > SHARE and (slower := math.ceil(self.samples.decimation * node.load / SHARE)) <= MAX_DECIMATION:
             self.samples = node.set_samples(channels, slower)
+        return edges
 
     def load_machine(self) -> NodeLoad | None:
         """The load machine at node 2 of the drive's link, if there is one; BenchError for a node of another kind."""
@@ -314,7 +323,7 @@ class Rig:
         """A sink by which `drive` sees that its motor runs away; the streams are configured, the parameters known."""
         assert self.samples is not None
         forced = lambda: getattr(self.load, "forced", None)  # noqa: E731
-        self.drive.guard = RunawayGuard(self.samples, self.drive.node.offers_edges, self.drive.parameters, forced)
+        self.drive.guard = RunawayGuard(self.samples, self._edges, self.drive.parameters, forced)
         return self.drive.guard
 
     # -- the end ------------------------------------------------------------------------------------------------

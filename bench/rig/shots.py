@@ -31,7 +31,7 @@ InfoOf = Callable[[tuple[Channel | Signal, ...]], RunInfo]
 WAIT = 10.0  # s that a trigger is waited for, where nobody says how long
 LATE = 1.5  # s after its last record within which a capture is complete, and told
 STRETCH = 2.5  # s that what happens in a block may last, where nobody says how long
-SPARE = 0.5  # s that commands in a block may take beside what was said
+SPARE = 0.3  # s that commands in a block may take beside what was said
 SPARE_EDGES, MORE_EDGES = 16, 1.25
 """Room for Hall edges beside those of the highest speed, and for so many times these."""
 SHARE = 0.3  # of a link that streams may take where captures are to be read beside them
