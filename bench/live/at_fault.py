@@ -10,7 +10,8 @@ from bench.device.node import Node
 from bench.errors import BenchError
 from bench.files import is_run, run_folder
 from bench.record.folder import remove
-from bench.rig.capturing import Capturing, fault_run
+from bench.record.layout import fault_run
+from bench.rig.capturing import Capturing
 from bench.rig.screen import Screen
 from bench.rig.settings import Settings
 from protocol.errors import HbpError

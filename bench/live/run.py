@@ -30,8 +30,8 @@ from bench.live.options import WATCHING, LiveOptions
 from bench.live.plausible import Plausibility
 from bench.live.summary import CpuMeter, RunStatistics, Summary, as_markdown, summarise
 from bench.live.triggers import Condition, Triggers
+from bench.record.layout import fault_run
 from bench.record.ring import Stored
-from bench.rig.capturing import fault_run
 from bench.rig.consent import check_limits, require_consent
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions

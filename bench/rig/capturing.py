@@ -134,8 +134,3 @@ def listening(target: str, settings: Settings, screen: Screen) -> Iterator[Captu
         yield Capturing(find_drive(client, target), target, settings, screen)
     finally:
         link.close()
-
-
-def fault_run(path: Path) -> Path:
-    """Where what a drive held at a fault goes, beside the recording `path`."""
-    return path.with_name(f"{path.stem}-fault{path.suffix}")

@@ -69,7 +69,11 @@ def test_what_the_drive_held_at_a_trip_is_kept_on_every_link(kind: str, tmp_path
     assert told["faults"] == ["OVERVOLTAGE"]
     assert ended.summary.at_fault["path"] == str(kept)
     assert json.dumps(ended.summary.as_json()["at_fault"])
-    assert "a-fault.run" in bench.open(tmp_path / "a.run").run.summary
+    recording = bench.open(tmp_path / "a.run")
+    assert "a-fault.run" in recording.run.summary
+    assert recording.at_fault is not None
+    assert recording.at_fault.info.trigger_tick == told["trigger_tick"]
+    assert recording.at_fault.at_fault is None
     assert link.device.drive.capture.state == CaptureState.ARMED  # for the next fault
 
 

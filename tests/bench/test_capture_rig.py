@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -206,3 +208,17 @@ def test_a_drive_without_the_feature_says_so() -> None:
             rig.capture("now")
         with pytest.raises(BenchError, match="it lacks the feature CAPTURE"):
             rig.at_fault()
+
+
+def test_the_code_of_the_page_runs_as_it_is_printed(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("BENCH_TARGET", raising=False)
+    page = (Path(__file__).parents[2] / "docs" / "capture.md").read_text()
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    cells: dict[str, object] = {}
+    exec(block, cells)
+    assert re.match(r"Capture of 1600 samples .* trigger at \d+\.\d+ s\n", capsys.readouterr().out)
+    run = bench.open(tmp_path / "shot.run")
+    omega = run.read(channels=["omega_enc"])
+    at = int(np.searchsorted(omega.samples.tick, run.info.trigger_tick))
+    assert omega["omega_enc"][at - 1] <= 250 < omega["omega_enc"][at]
