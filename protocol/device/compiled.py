@@ -27,6 +27,7 @@ from platformdirs import user_cache_path
 
 from protocol.descriptor import sample_dtype
 from protocol.device.app import DeviceApp, Identity
+from protocol.device.records import LateSamples, Samples, made, rows_of
 from protocol.errors import Refused
 from protocol.messages import DriveState, Fault, Feature, SetpointMode
 
@@ -172,11 +173,6 @@ class CompiledSession:
         return frozenset(channel.name for channel, taken in zip(self.app.channels, used, strict=True) if taken)
 
     @property
-    def sampling(self) -> bool:
-        """Whether samples are wanted."""
-        return bool(self.running)
-
-    @property
     def dropped(self) -> int:
         """Stream frames that were not sent since boot."""
         return int(self._lib.shim_dropped(self.at))
@@ -200,12 +196,12 @@ class CompiledSession:
         """What is left, 0xFFFF when the watchdog is not at work; `tick` must be that of the last look at the time."""
         return int(self._lib.shim_watchdog_ms(self.at))
 
-    def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
+    def push_samples(self, index0: int, tick0: int, samples: Samples) -> None:
         """See `DeviceSession.push_samples`; C makes the ticks itself."""
-        if raw.dtype != self._dtype:
-            raise TypeError(f"samples of {raw.dtype}, the channels make {self._dtype}")
-        rows = np.ascontiguousarray(raw)
-        self._lib.shim_ticks(self.at, index0, rows.ctypes.data, rows.itemsize, len(rows))
+        if isinstance(samples, LateSamples) and not self.running:
+            return
+        rows = rows_of(made(samples, self.channels), self._dtype)
+        self._lib.shim_ticks(self.at, index0, rows.ctypes.data, self._dtype.itemsize, len(rows))
 
     def push_edges(self, records: NDArray[np.void]) -> None:
         """See `DeviceSession.push_edges`."""
