@@ -75,10 +75,13 @@ class CaptureMemory:
         return self.node.client.request(CaptureArm(CaptureTrigger.OFF), self.node.number, CaptureReply)
 
     def disarm(self, number: int) -> None:
-        """Give up the capture `number` if it still waits for its trigger; what has been frozen stays."""
+        """Give up the capture `number` if it is not complete; what is FROZEN stays, and what a fault freezes."""
         now = self.status()
-        if now.number == number and now.state != CaptureState.FROZEN:
+        if now.number == number and now.state != CaptureState.FROZEN and not self._by_fault(now):
             self.give_up()
+
+    def _by_fault(self, status: CaptureReply) -> bool:
+        return status.state == CaptureState.TRIGGERED and status.trigger == CaptureTrigger.FAULT
 
     def wait(self, number: int, timeout: float, until: Until | None = None) -> CaptureReply | None:
         """Wait until the capture `number` is FROZEN; None where it is not within `timeout` s.
