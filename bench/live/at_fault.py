@@ -17,6 +17,7 @@ from bench.rig.settings import Settings
 from protocol.errors import HbpError
 from protocol.messages import CaptureReply, CaptureState, CaptureTrigger
 
+LONGEST = 20.0  # s that the end of a run waits for what the drive held: a quarter of a second at 115200 baud, and some
 LATE = 1.5  # s in which a capture that has been triggered is complete
 
 
@@ -63,7 +64,7 @@ class AtFault:
                 fetch = f"`bench capture {self._target} --at-fault -o RUN` fetches it"
                 self._screen.note(f"{held_words(self._node, held)}: {fetch}")
                 return {}
-            return self._capturing.fetch(self._path, overwrite=True).as_json()
+            return self._capturing.fetch(self._path, overwrite=True, most=LONGEST).as_json()
         except (BenchError, HbpError) as error:
             self._screen.note(f"what the drive held at the fault was not kept: {error}")
             return {}

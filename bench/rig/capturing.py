@@ -27,6 +27,7 @@ from protocol.errors import HbpError
 from protocol.links import open_link
 from protocol.messages import CaptureReply, CaptureState
 
+_SOON = 1.0  # s after which it is known how fast a link is
 NO_END = 1e9  # s that a trigger is waited for, where nobody says how long
 
 
@@ -87,10 +88,13 @@ class Capturing:
         """Arm, and leave it to whoever fetches it. Raises BenchError."""
         return self.memory.arm(wanted)
 
-    def fetch(self, path: Path, overwrite: bool = False, note: str = "") -> Stored:
-        """Read and store what the drive holds, whoever has armed it. Raises BenchError."""
+    def fetch(self, path: Path, overwrite: bool = False, note: str = "", most: float = NO_END) -> Stored:
+        """Read and store what the drive holds, whoever has armed it. Raises BenchError.
+
+        It stays in the drive where reading it would take more than `most` s.
+        """
         check_output(path, f"--out {path}", overwrite, recording=True)
-        return self._keep(self.memory.frozen(), path, overwrite, note=note)
+        return self._keep(self.memory.frozen(), path, overwrite, note=note, most=most)
 
     def discard(self) -> str:
         """Give up what the drive holds; says what that was. Raises BenchError where it holds nothing."""
@@ -105,11 +109,19 @@ class Capturing:
 
     def _keep(
         self, status: CaptureReply, path: Path, overwrite: bool, trigger: str = "", pre: float | None = None,
-        note: str = "",
+        note: str = "", most: float = NO_END,
     ) -> Stored:  # fmt: skip
         """Read, store, and only then give up what the drive holds."""
         began = self.node.client.now()
-        captured = self.memory.read(status, self._progress)
+
+        def progress(done: int, size: int) -> None:
+            took = self.node.client.now() - began
+            if took > _SOON and took * size / done > most:
+                fetch = f"`bench capture {self.target} --at-fault -o RUN` does it"
+                raise BenchError(f"reading it takes {took * size / done:.0f} s on this link: {fetch}")
+            self._progress(done, size)
+
+        captured = self.memory.read(status, progress)
         took = self.node.client.now() - began
         told = about(captured, trigger, pre)
         more = {"note": note} if note else {}

@@ -42,7 +42,7 @@ from bench.rig.rest import require_rest
 from bench.rig.restore import failures_of
 from bench.rig.runaway import RunawayGuard
 from bench.rig.settings import Settings
-from bench.rig.shots import SHARE, WAIT, FullRate, Shot
+from bench.rig.shots import SHARE, WAIT, FullRate, Held, Shot
 from bench.rig.streams import configure, edge_rate
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle, speed_channel
@@ -468,14 +468,14 @@ class Rig:
 
         `seconds`: how long it will last about, for a drive that has to hold it in its memory; None: 2.5 s at most.
         """
-        begun = None if self.full_rate is None else self.full_rate.begin(seconds)
-        stretch = Stretch(self, self.tick())
+        held = None if self.full_rate is None else self.full_rate.begin(seconds)
+        stretch = Stretch(self, self.tick(), held=held)
         try:
             yield stretch
         finally:
             stretch.last = self.tick() if self.client.health.down_since is None else self.recorder.newest
-            if begun is not None and self.full_rate is not None:
-                stretch.held = self.full_rate.end(begun, stretch.first, stretch.last)
+            if held is not None:
+                held.end(stretch.first, stretch.last, self.drive.parameters)
         if self.recorder.newest < stretch.last:
             self.until(lambda: self.recorder.newest >= stretch.last, LATE)
 
@@ -725,10 +725,10 @@ class Stretch:
     rig: Rig
     first: int
     last: int = -1
-    held: Capture | None = None
-    """What the drive's memory held of it, where the link is too slow."""
+    held: Held | None = None
+    """What the drive's memory holds of it, where the link is too slow."""
 
     @property
     def capture(self) -> Capture:
-        """What came in it. BenchError if nothing did."""
-        return self.rig.between(self.first, self.last) if self.held is None else self.held
+        """What came in it; read at the first call, where the drive holds it. BenchError if nothing did."""
+        return self.rig.between(self.first, self.last) if self.held is None else self.held.read()

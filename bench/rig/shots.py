@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -113,6 +113,30 @@ class Shot:
         store(captured, path, self._info(captured.stream.channels), told, overwrite)
 
 
+class Held:
+    """A stretch that the drive holds: read when it is first asked for, or before the next one begins.
+
+    So what follows it can be done first: a load that the motor bears for a second is not left on it for a minute.
+    """
+
+    def __init__(self, number: int, seconds: float, read: Callable[[Held], Capture]) -> None:
+        self.number, self.seconds = number, seconds
+        self.first = self.last = -1
+        self.parameters: Mapping[str, float] = {}
+        self._read = read
+        self._capture: Capture | None = None
+
+    def end(self, first: int, last: int, parameters: Mapping[str, float]) -> None:
+        """It lasted from one device tick to another."""
+        self.first, self.last, self.parameters = first, last, dict(parameters)
+
+    def read(self) -> Capture:
+        """All of it. Raises BenchError, and HbpError of the link."""
+        if self._capture is None:
+            self._capture = self._read(self)
+        return self._capture
+
+
 class FullRate:
     """What a test measures, out of the drive's memory at the PWM rate, where its link streams less.
 
@@ -134,6 +158,7 @@ class FullRate:
             identity.node, 0, 0, StreamEvent.PWM, 1, channels, 1, tick_hz=identity.tick_hz, pwm_hz=identity.pwm_hz
         )
         self.room = status.room
+        self._pending: Held | None = None  # a stretch that has ended, or goes on
         self._edges_per_s = MORE_EDGES * (edge_rate(drive.node, drive.envelope) or EDGES_PER_SECOND)
 
     def record(self, seconds: float) -> Capture:
@@ -142,24 +167,28 @@ class FullRate:
         first = int(captured.samples.tick[0])
         return captured.capture(self._drive.parameters).ticks(first, first + round(seconds * self.stream.tick_hz))
 
-    def begin(self, seconds: float | None) -> tuple[int, float]:
-        """Take down what comes from now on, at least `seconds` of it; returns what `end` needs."""
+    def begin(self, seconds: float | None) -> Held:
+        """Take down what comes from now on, at least `seconds` of it, until the end of what it returns."""
         length = STRETCH if seconds is None else seconds + SPARE
-        return self._begin(length), length
+        self._pending = Held(self._begin(length), length, self._finish)
+        return self._pending
 
-    def end(self, begun: tuple[int, float], first: int, last: int) -> Capture:
-        """What came between two device ticks of what was begun; what the memory did not hold counts as lost."""
-        captured = self._read(*begun, None)
-        capture = captured.capture(self._drive.parameters)
+    def _finish(self, held: Held) -> Capture:
+        """Read a stretch that has ended; what the memory did not hold of it counts as lost."""
+        captured = self._read(held.number, held.seconds, None)
+        capture = captured.capture(dict(held.parameters))
         newest, hz = int(captured.samples.tick[-1]), self.stream.tick_hz
-        if newest < last - captured.stream.period_ticks * captured.stream.decimation:
+        if newest < held.last - captured.stream.period_ticks * captured.stream.decimation:
             words = f"the drive's memory held no sample after {newest / hz:.4f} s: give record.stretch() its length"
-            capture = replace(capture, dropped=(*capture.dropped, (newest, last, words)))
-        return capture.ticks(first, last)
+            capture = replace(capture, dropped=(*capture.dropped, (newest, held.last, words)))
+        return capture.ticks(held.first, held.last)
 
     def _begin(self, seconds: float) -> int:
         edges, names = math.ceil(self._edges_per_s * seconds) + SPARE_EDGES, [channel.name for channel in self.channels]
         wanted = Wanted(_NOW, seconds, 0.0, names, self._decimation(seconds), min(edges, 0xFFFF))
+        if self._pending is not None:
+            self._pending.read()
+            self._pending = None
         status = self._memory.status()
         if status.state == CaptureState.FROZEN:  # of a trip that a test has made
             self._memory.give_up()

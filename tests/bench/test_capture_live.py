@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from sim.ports.device import SimulatedDevice
 from sim.ports.networks import CanNetwork, Network
 
 MEMORY = 131_072  # bytes: the drive holds 0.2 s
+STEP = 0.005  # s of virtual time between looks for bytes: with long ones a request takes longer than its link does
 TRIP = 0.4  # s of the run
 LINKS: dict[str, tuple[Callable[[], Network | None], dict[str, object]]] = {
     "bytes": (lambda: None, {}),
@@ -34,6 +36,7 @@ class TrippingLink(WatchedLink):
     def __init__(self, network: Network | None, memory: int = MEMORY, fault: Fault = Fault.OVERVOLTAGE) -> None:
         config = {"memory.capture": memory, "firmware.watchdog": 1.0}
         super().__init__(SimulatedDevice(load_params(None, config), 2, network=network))
+        self._step = round(STEP * self.device.pwm_hz)
         self.fault, self.tripped, self.buffer = fault, 0, b""
         self._ran: float | None = None
 
@@ -147,3 +150,13 @@ def test_what_cannot_be_read_to_its_end_is_told_and_no_run_is_left_half(tmp_path
     assert any(note.startswith("what the drive held at the fault was not kept: ") for note in screen.notes)
     assert not ended.summary.at_fault
     assert not (tmp_path / "f-fault.run").exists()
+
+
+def test_a_link_so_slow_that_the_end_of_a_run_would_wait_for_it_leaves_it_in_the_drive(tmp_path: Path) -> None:
+    link, screen = TrippingLink(Uart(38_400)), RecordingScreen()
+    ended = run(link, screen=screen, save=tmp_path / "g.run", duration=1.0, fit=True, channels=("i_q",))
+    assert not ended.summary.at_fault
+    (note,) = [note for note in screen.notes if note.startswith("what the drive held at the fault was not kept: ")]
+    assert re.search(r"reading it takes \d\d s on this link: `bench capture \S+ --at-fault -o RUN` does it$", note)
+    assert link.device.drive.capture.state == CaptureState.FROZEN
+    assert not (tmp_path / "g-fault.run").exists()

@@ -238,12 +238,22 @@ def run_at(drive: Drive, record: Record, speed_rpm: float, seconds: float) -> No
     record.wait(ramp(drive, speed_rpm) + seconds)
 
 
-def around(record: Record, before: float, command: Callable[[], object], after: float) -> Capture:
-    """From `before` s before a command to `after` s after it."""
+def around(
+    record: Record,
+    before: float,
+    command: Callable[[], object],
+    after: float,
+    then: Callable[[], object] = lambda: None,
+) -> Capture:
+    """From `before` s before a command to `after` s after it.
+
+    `then` is done before it is read, which takes long where the drive holds it: a load must not stay on meanwhile.
+    """
     with record.stretch(before + after) as stretch:
         record.wait(before)
         command()
         record.wait(after)
+    then()
     return stretch.capture
 
 
