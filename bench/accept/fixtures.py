@@ -23,6 +23,11 @@ class Record:
         self.stretch, self.streamed = rig.recording, rig.streamed
         self.wait, self.until, self.latest, self.note = rig.wait, rig.until, rig.latest, rig.note
 
+    @property
+    def reads_memory(self) -> bool:
+        """Whether what is recorded is read out of the drive's memory, which takes a while."""
+        return self.rig.full_rate is not None
+
     def __call__(self, seconds: float) -> Capture:
         """The next `seconds`. Raises DriveTripped, and BenchError when no samples come."""
         return self.rig.record(seconds)

@@ -457,6 +457,7 @@ class Node:
             self.client.request(StreamStop(ALL_STREAMS), self.number, Empty)
         finally:
             self._streams.clear()
+            self.load = 0.0
             self.client.end_streams(self.number, last)
 
     def set_samples(self, channels: tuple[Channel, ...], decimation: int) -> StreamConfig:

@@ -257,6 +257,16 @@ def around(
     return stretch.capture
 
 
+def loaded(record: Record, drive: Drive, amps: float, seconds: float, settling: float) -> Capture:
+    """So many s at a q current, after `settling` s; where the drive's memory is read, the current is off meanwhile."""
+    if not record.reads_memory:
+        record.wait(settling)
+        return record(seconds)
+    drive.current(amps)
+    record.wait(settling)
+    return around(record, 0.0, lambda: None, seconds, then=lambda: drive.current(0.0))
+
+
 def settle(record: Record, speed_rpm: float, within: float = 0.03, timeout: float = 5.0) -> bool:
     """Go on until the shaft has made two turns, each at `speed_rpm` to `within` of it in the mean.
 
