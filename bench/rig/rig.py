@@ -42,7 +42,7 @@ from bench.rig.rest import require_rest
 from bench.rig.restore import failures_of
 from bench.rig.runaway import RunawayGuard
 from bench.rig.settings import Settings
-from bench.rig.shots import SHARE, WAIT, FullRate, Held, Shot
+from bench.rig.shots import SHARE, FullRate, Held, Shot
 from bench.rig.streams import configure, edge_rate
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle, speed_channel
@@ -488,7 +488,7 @@ class Rig:
         channels: Sequence[str] | None = None,
         decimation: int = 1,
         edges: int | None = None,
-        timeout: float = WAIT,
+        timeout: float = 10.0,
     ) -> Shot:
         """A capture in the drive's own memory, at the PWM rate whatever the link carries.
 

@@ -28,7 +28,6 @@ from protocol.signals import Signal
 from protocol.streams import EDGE_RECORD, MAX_DECIMATION, StreamConfig
 
 InfoOf = Callable[[tuple[Channel | Signal, ...]], RunInfo]
-WAIT = 10.0  # s that a trigger is waited for, where nobody says how long
 LATE = 1.5  # s after its last record within which a capture is complete, and told
 STRETCH = 2.5  # s that what happens in a block may last, where nobody says how long
 SPARE = 0.3  # s that commands in a block may take beside what was said

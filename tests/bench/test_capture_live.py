@@ -52,6 +52,7 @@ class TrippingLink(WatchedLink):
         return super().read(timeout, settle)
 
 
+@pytest.mark.long("a hundred kilobytes over slow links, frame by frame")
 @pytest.mark.parametrize("kind", LINKS)
 def test_what_the_drive_held_at_a_trip_is_kept_on_every_link(kind: str, tmp_path: Path) -> None:
     network, options = LINKS[kind]

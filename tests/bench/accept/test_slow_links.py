@@ -26,6 +26,7 @@ LINKS: dict[str, Callable[[], Network]] = {
 }
 PAPER = "table1 fig02 fig06 fig08 fig09 fig10 fig11 fig12 fig13".split()  # noqa: SIM905
 SEED = 5
+SLOW = pytest.mark.long("hundreds of kilobytes over a slow link, frame by frame")
 
 
 def slow(kind: str, seed: int = SEED, **settings: object) -> VirtualLink:
@@ -39,6 +40,7 @@ def rig_on(link: VirtualLink, **prepared: object) -> Iterator[Rig]:
         yield rig
 
 
+@SLOW
 @pytest.mark.parametrize("kind", LINKS)
 def test_what_is_recorded_is_every_period_although_the_link_carries_few(kind) -> None:
     link = slow(kind)
@@ -73,6 +75,7 @@ def test_what_is_recorded_is_every_period_although_the_link_carries_few(kind) ->
     assert (capture.state, capture.trigger.name) == (CaptureState.ARMED, "FAULT")
 
 
+@SLOW
 def test_a_stretch_beyond_the_memory_is_slower_or_refused_or_known_to_lack_its_end() -> None:
     memory = 60_000  # bytes
     with rig_on(slow("CAN 500 kbit/s", memory__capture=memory)) as rig:
@@ -90,6 +93,7 @@ def test_a_stretch_beyond_the_memory_is_slower_or_refused_or_known_to_lack_its_e
         assert rig.record(0.02).rate == rig.rate
 
 
+@SLOW
 def test_a_trip_in_a_stretch_is_in_what_was_held() -> None:
     link = slow("CAN 500 kbit/s")
     with rig_on(link) as rig:
