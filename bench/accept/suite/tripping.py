@@ -104,11 +104,11 @@ def provoke(
         record.wait(hold)
         named, held = drive.faults == (fault,), rig.tick()
         drive.node.clear_faults()
-    with drive.may_trip():
+        end = rig.tick()
         if drive.faults or drive.state != DriveState.IDLE:  # it has not tripped, or goes its own ways
             drive.forget_faults()
         drive.start()
-    run = stretch.capture
+    run = stretch.capture.ticks(stretch.first, end)
     state, ticks = states(run), run.samples.tick
     after = np.logical_or.accumulate(state == DriveState.FAULT)
     latched = bool(after.any() and (state[after & (ticks < held)] == DriveState.FAULT).all())
