@@ -505,6 +505,13 @@ class Client:
         """The newest device time that was heard of `node`, in ticks; 0 before any."""
         return max(self._clocks.get(node, {}).values(), default=0)
 
+    def late(self, node: int) -> int:
+        """By how many ticks samples of `node` that are streamed now come later than its heartbeats; 0 without any."""
+        clocks, streams = self._clocks.get(node, {}), self._streams.get(node, _NO_STREAMS)
+        sampled = [number for number, decoder in streams.decoders.items() if decoder.config.channels]
+        newest = [clocks[number] for number in sampled if number in clocks]
+        return max(0, clocks.get(None, 0) - max(newest)) if newest else 0
+
     # -- streams ------------------------------------------------------------------------------------------------
 
     def decode(self, config: StreamConfig) -> None:

@@ -17,6 +17,7 @@ from zlib import crc32
 
 import numpy as np
 
+from bench.device.blob import DESCRIPTOR, MEANINGS, WAVEFORM, part_bytes, read_part
 from bench.device.client import WATCHDOG, Client
 from bench.device.heard import ParameterSet
 from bench.device.safety import HEARTBEATS, Vigil, heard, says, switch_off, why_unfed, without_watchdog
@@ -29,8 +30,6 @@ from protocol.descriptor import Channel, Descriptor
 from protocol.errors import DeviceDefect, HbpError, NoReply, Refused
 from protocol.framing import MAX_PAYLOAD
 from protocol.messages import (
-    BlobRead,
-    BlobReply,
     BlobWrite,
     Command,
     DriveState,
@@ -65,19 +64,13 @@ from protocol.signals import Flag
 from protocol.streams import MAX_STREAMS, STREAM_HEADER, StreamConfig
 from protocol.text import counted, printable
 from protocol.validity import check_parameter
-from protocol.wire import ByteWire
 
 DRIVE, LOAD = 1, 2
 SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
 MAX_LATENCY_MS = 20  # with which the bench configures streams
 DUE = 0.15  # s after which the next heartbeat is late
-MEANINGS = 3  # blob
 MOST_BLOB = 1 << 20  # bytes of a blob that is read at once
-WAVEFORM = 4  # the blob of the test signal's samples
-_BLOB_PART = 512
-_PART_TAKES = 0.05  # s, at most, that a part is under way on a UART: the request is repeated after 0.1 s
-_SMALLEST_PART = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +126,7 @@ class Node:
         self._identity = self._descriptor = None
 
     def _read_descriptor(self) -> Descriptor:
-        blob = self._read_blob(0, "the descriptor")
+        blob = self._read_blob(DESCRIPTOR, "the descriptor")
         if (crc := crc32(blob)) != self.identity.schema_crc:
             raise NodeError(
                 f"the descriptor of node {self.number} has CRC {crc:08x}, HELLO announced "
@@ -154,11 +147,9 @@ class Node:
         return {name: printable(meaning) for name, _, meaning in pairs if name and meaning}
 
     def _read_blob(self, number: int, what: str) -> bytes:
-        blob = b""
-        total = 1
-        part = self._blob_part()
+        blob, total, part = b"", 1, part_bytes(self.client.session.wire)
         while len(blob) < total:
-            reply = self.client.request(BlobRead(id=number, length=part, offset=len(blob)), self.number, BlobReply)
+            reply = read_part(self.client, self.number, number, len(blob), part)
             total = reply.total
             if not reply.data and total:
                 raise NodeError(f"{what} of node {self.number} ends at {len(blob)} of {total} bytes")
@@ -167,26 +158,20 @@ class Node:
                 raise NodeError(f"{what} of node {self.number} is said to have {total} bytes: more than {MOST_BLOB}")
         return blob
 
-    def _blob_part(self) -> int:
-        """Bytes of a blob that are asked for, or written, at once: so many that a UART has carried them in time."""
-        wire = self.client.session.wire
-        in_time = wire.baud / 10 * _PART_TAKES if isinstance(wire, ByteWire) else _BLOB_PART
-        return int(min(_BLOB_PART, max(in_time, _SMALLEST_PART)))
-
     def waveform_room(self) -> int:
         """Samples that the waveform of the test signal may have. Needs the feature WAVEFORM."""
-        return self.client.request(BlobRead(WAVEFORM, 0, 0), self.number, BlobReply).total // 2
+        return read_part(self.client, self.number, WAVEFORM, 0, 0).total // 2
 
     def write_waveform(self, data: bytes) -> None:
         """Write the samples of the test signal (i16), from the first on, and read them back; NodeError if they differ.
 
         Needs the feature WAVEFORM.
         """
-        part = min(self._blob_part(), self.identity.rx_max - BlobWrite.FIXED_BYTES)
+        part = min(part_bytes(self.client.session.wire), self.identity.rx_max - BlobWrite.FIXED_BYTES)
         for at in range(0, len(data), part):
             piece = data[at : at + part]
             self.client.request(BlobWrite(WAVEFORM, len(piece), at, piece), self.number, Empty)
-            back = self.client.request(BlobRead(WAVEFORM, len(piece), at), self.number, BlobReply).data
+            back = read_part(self.client, self.number, WAVEFORM, at, len(piece)).data
             if back != piece[: len(back)]:
                 raise NodeError(f"node {self.number} does not hold the waveform that was written to it")
 
@@ -209,6 +194,11 @@ class Node:
     def offers_edges(self) -> bool:
         """Whether it can stream Hall edges."""
         return bool(self.identity.features & Feature.EDGES)
+
+    @property
+    def offers_capture(self) -> bool:
+        """Whether it holds samples in its own memory until a trigger freezes them."""
+        return bool(self.identity.features & Feature.CAPTURE)
 
     def parameters(self) -> dict[str, float]:
         """All parameters by name. Raises DeviceDefect if one of the values cannot be."""
@@ -523,6 +513,7 @@ class Node:
             self.client.request(StreamStop(ALL_STREAMS), self.number, Empty)
         finally:
             self._streams.clear()
+            self.load = 0.0
             self.client.end_streams(self.number, last)
 
     def set_samples(self, channels: tuple[Channel, ...], decimation: int) -> StreamConfig:

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 from bench.device.bus import BusMeter
 from bench.device.client import PAUSE
@@ -18,9 +19,10 @@ from bench.device.heard import Changes, Heard, Note, Sink
 from bench.device.node import LOAD
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, RecordingError
-from bench.files import check_output
+from bench.files import check_output, run_folder
 from bench.findings.motor import CODES as OF_MOTOR
 from bench.findings.thresholds import LOST_SHARE
+from bench.live.at_fault import AtFault
 from bench.live.distrust import Distrust
 from bench.live.gathered import Gathered
 from bench.live.manoeuvres import Act, timed
@@ -29,6 +31,7 @@ from bench.live.plausible import Plausibility
 from bench.live.summary import CpuMeter, RunStatistics, Summary, as_markdown, summarise
 from bench.live.triggers import Condition, Triggers
 from bench.live.tuner import KEYS, Tuner
+from bench.record.layout import fault_run
 from bench.record.ring import Stored
 from bench.rig.consent import check_limits, require_consent
 from bench.rig.envelope import Envelope
@@ -93,6 +96,7 @@ class LiveRun:
         self._last_samples = (0, 0.0)
         self._silent = False
         self._pauses = 0  # of this program, when it last looked
+        self._at_fault = AtFault(self.node, target, options.settings, screen, options.save, not options.embedded)
 
     # -- before anything moves ----------------------------------------------------------------------------------
 
@@ -105,6 +109,7 @@ class LiveRun:
             f"HBP {hello.major}.{hello.minor}, PWM {hello.pwm_hz} Hz, "
             f"{len(self.node.descriptor.channels)} channels, state {hello.state.name}"
         )
+        self._at_fault.look()
         if options.load_a is not None or options.show:
             load = self.rig.load_machine()
             if load is None:
@@ -301,12 +306,14 @@ class LiveRun:
             rig.signal.uninterrupted(self._judge.hall.findings)
             self._tell_findings()
         ended = self._outcome(lost)
+        held = {} if lost else self._fetch()
         summary = summarise(
             self.target, self.client, self._stats, self.node.identity, duration, percent, outputs.latency, bus
         )
         summary.result = self._with_recording(ended).words
         if self.acts:
             summary.outputs = "MAY STILL BE ON" if rig.unsafe else "off, by the drive's heartbeat"
+        summary.at_fault = held
         summary.asked = self._judge.speed.came() if self._judge else []
         summary.motor = self._judge.motor.told() if self._judge else {}
         doubts = self._distrust
@@ -331,6 +338,15 @@ class LiveRun:
         if self._tuning is not None and (changes := self._tuning.changes()):
             new = " ".join(f"{n}={v:.7g}" for n, v in self._tuning.items() if v != self._tuning.before[n])
             self.client.note(f"tuned: {changes}; now put back; to keep it: bench param set {self.target} {new}")
+
+    def _fetch(self) -> dict[str, Any]:
+        """What the drive held at a fault, kept beside the recording; a signal leaves it in the drive."""
+        try:
+            return self._at_fault.keep()
+        except (KeyboardInterrupt, Interrupted) as interrupt:
+            self.rig.signal.remember(interrupt)
+            self.screen.note("the drive still holds what came before the fault: bench capture --at-fault fetches it")
+            return {}
 
     def _commands(self, now: bool) -> None:
         """Whether the drive is told what to do in what comes from now on: its samples need not say."""
@@ -510,7 +526,8 @@ def run(
     """
     require_viewable(options.save, options.viewer)
     if options.save is not None:
-        check_output(options.save, str(options.save), options.overwrite, recording=True)
+        for each in (options.save, fault_run(run_folder(options.save))):
+            check_output(each, str(each), options.overwrite, recording=True)
     if options.estimate:
         from bench.replay.estimators import entry_of
 
