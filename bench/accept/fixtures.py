@@ -14,13 +14,14 @@ class Record:
     """Calls wait on the bench's clock: virtual for the simulated drive, real on hardware.
 
     `with record.stretch() as s: …` records what happens inside; after it `s.capture` holds it. `wait(seconds)`,
-    `until(condition, timeout)`, `latest(channel)` and `note(text)` are those of the `rig`.
+    `until(condition, timeout)`, `latest(channel)`, `note(text)` and `play(profile)` are those of the `rig`.
     """
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.stretch = rig.recording
         self.wait, self.until, self.latest, self.note = rig.wait, rig.until, rig.latest, rig.note
+        self.play = rig.play
 
     def __call__(self, seconds: float) -> Capture:
         """The next `seconds`. Raises DriveTripped, and BenchError when no samples come."""

@@ -149,7 +149,7 @@ class SpeedHeld:
         for asked in self._asked:
             if math.isfinite(asked.speed_rpm) and (why := self._not_told(asked)):
                 unseen.setdefault(why, []).append(f"{asked.speed_rpm:g}")
-        return [f"whether {', '.join(speeds)} r/min are held ({why})" for why, speeds in unseen.items()]
+        return [f"whether {', '.join(dict.fromkeys(of))} r/min are held ({why})" for why, of in unseen.items()]
 
     def _not_told(self, asked: _Asked) -> str:
         """Why it was not seen whether this speed is held; empty where it was."""

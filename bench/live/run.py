@@ -223,8 +223,10 @@ class LiveRun:
             watching.append(Triggers(triggers, self.node.number, self._triggered))
         self._gathered = Gathered(watching)
         rig.clock = self.node.clock_fit()
+        profile_file = "" if options.profile is None else options.profile.source
+        about = {name: words for name, words in (("note", options.note), ("profile", profile_file)) if words}
         recording = Recording(
-            options.save, {"note": options.note} if options.note else {}, options.viewer, options.overwrite,
+            options.save, about, options.viewer, options.overwrite,
             options.web_port, Stored(options.keep, options.split), self._sector(),
         )  # fmt: skip
         sinks: list[Sink] = [_ScreenNotes(self.screen), self._stats.dates, self._gathered]

@@ -13,6 +13,7 @@ from functools import cached_property
 from itertools import cycle
 
 from bench.errors import BenchError
+from bench.signal.sources import source_name
 
 SPEED, CURRENT = "speed_rpm", "current_A"
 LOAD_TORQUE, LOAD_CURRENT, LOAD_SPEED = "load_torque_Nm", "load_current_A", "load_speed_rpm"
@@ -149,6 +150,8 @@ class Profile:
 
     steps: tuple[Step, ...]
     name: str = ""
+    source: str = ""
+    """The file that it is from."""
     max_current: float | None = None
     """A, the most that the motor may get at any time; None: what else is agreed."""
     max_speed: float | None = None
@@ -200,7 +203,9 @@ def _chained(steps: Iterable[Step], all_steps: Iterable[Step]) -> Iterator[Act]:
     """Each step with what it finds; before the first one, nothing is asked for of what `all_steps` name first."""
     named = [key for step in all_steps for key in step.targets]
     drive = Course(next((key for key in named if key in OF_DRIVE), SPEED), 0.0, 0.0)
-    load = Course(LOAD_TORQUE, 0.0, 0.0) if any(key in OF_LOAD for key in named) else None
+    load = next((Course(key, 0.0, 0.0) for key in named if key in OF_LOAD), None)
+    if load is not None and load.quantity == LOAD_SPEED:  # which would hold the shaft
+        load = Course(LOAD_TORQUE, 0.0, 0.0)
     for step in steps:
         for key, target in step.targets.items():
             if key in OF_DRIVE:
@@ -243,5 +248,9 @@ def _words(step: Step) -> str:
             parts.append(f"{what} {target.offset:g} ± {target.amplitude:g} {unit} at {target.frequency_hz:g} Hz")
         else:
             parts.append(f"{what} {target:g} {unit}{within}")
-    parts += [f"{name} = {value:g}" for name, value in step.sets.items()]
-    return f"{step.place}: {', '.join(parts) or 'hold'}"
+    return f"{step.place}: {', '.join([*parts, *settings_words(step.sets)]) or 'hold'}"
+
+
+def settings_words(sets: Mapping[str, float]) -> list[str]:
+    """Parameters and their values, for people; an angle source by its name."""
+    return [f"{name} = {(name == 'observer' and source_name(value)) or f'{value:g}'}" for name, value in sets.items()]

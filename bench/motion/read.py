@@ -71,7 +71,7 @@ def profile_of(data: Mapping[str, Any], where: str) -> Profile:
         )
     if free is None and speed is not None:
         raise BenchError(f"max_speed_rpm in {where} is for steps with {CURRENT}, and there are none: leave it out")
-    profile = Profile(steps, _text(data.get("name", ""), "name", where), current, speed)
+    profile = Profile(steps, _text(data.get("name", ""), "name", where), where, current, speed)
     try:
         profile.acts  # noqa: B018  # where a step cannot follow the one before
     except BenchError as error:
@@ -109,7 +109,7 @@ def _step(given: Any, number: str, where: str, depth: int) -> Iterator[Step]:
         yield from _steps(given, number, where, depth + 1)
         return
     _known(given, STEP, what)
-    targets = {key: _target(given[key], key, what) for key in given if key in UNITS}
+    targets = {key: _target(given[key], key, what) for key in UNITS if key in given}
     for of in (OF_DRIVE, OF_LOAD):
         if len(two := [key for key in of if key in targets]) > 1:
             raise BenchError(f"{what} has both {two[0]} and {two[1]}, and one machine can follow only one: choose")
