@@ -82,7 +82,7 @@ def sines(draw: st.DrawFn, most: float) -> dict[str, float]:
 
 
 @st.composite
-def steps(draw: st.DrawFn, drive: str, load: str | None) -> dict[str, Any]:
+def steps(draw: st.DrawFn, drive: str | None, load: str | None) -> dict[str, Any]:
     """A step for one quantity of each machine, so that each ramp has something to begin from."""
     step: dict[str, Any] = {"for_s": draw(st.integers(1, 300)) / 100.0}
     for key in (drive, load):
@@ -98,9 +98,9 @@ def steps(draw: st.DrawFn, drive: str, load: str | None) -> dict[str, Any]:
 
 
 @st.composite
-def profiles(draw: st.DrawFn, drive: str = "", load: str | None = "") -> dict[str, Any]:
-    """A file as plain data; of the given quantities, or of any."""
-    drive = drive or draw(st.sampled_from(DRIVE))
+def profiles(draw: st.DrawFn, drive: str | None = "", load: str | None = "") -> dict[str, Any]:
+    """A file as plain data; of the given quantities, None for none, or of any."""
+    drive = draw(st.sampled_from(DRIVE)) if drive == "" else drive
     load = draw(st.sampled_from((None, *LOAD[:2]))) if load == "" else load
     one = steps(drive, load)
     inner = st.fixed_dictionaries({"repeat": st.integers(1, 3), "steps": st.lists(one, min_size=1, max_size=3)})
