@@ -13,7 +13,7 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Protocol
 
-from bench.device.client import GRACE, POLL, Client
+from bench.device.client import GRACE, LATE, POLL, Client
 from bench.errors import BenchError
 from bench.motion import profile
 from bench.motion.profile import Act
@@ -24,7 +24,7 @@ from bench.rig.played import Span
 from protocol.errors import HbpError
 
 PERIOD = 0.02  # s between setpoints while a quantity changes
-LEAST = 0.0005  # s of a turn of the link, so that an act's end is met
+LEAST = 1e-5  # s of a turn: time goes on
 
 
 class Stage(Protocol):
@@ -39,8 +39,8 @@ class Stage(Protocol):
     def machines(self) -> list[Machine]:
         """What has a watchdog."""
 
-    def turn(self, timeout: float) -> None:
-        """One turn of the link."""
+    def turn(self, timeout: float, collect: bool = True) -> None:
+        """One turn of the link, see `Client.poll`."""
 
     def see_clock(self) -> None:
         """Look at the drive's clock."""
@@ -101,14 +101,21 @@ class Player:
                 elif last == math.inf:
                     last = client.now()
                 self._look()
-                changes = any(course.changes(t) for course in act.courses) and not stage.tripped
-                turn = 0.5 * PERIOD if changes else POLL  # it collects for as long again
-                stage.turn(min(turn, max(0.5 * left, LEAST)))
+                changing = () if stage.tripped else [course for course in act.courses if course.changes(t)]
+                ends = (course.ramp - t for course in changing if course.ramp > t)
+                self._turn(min(left, *ends, self._due - client.now() if changing else left))
                 if pauses != client.pauses:  # what came meanwhile is looked at first
                     pauses, until = client.pauses, max(until, client.now() + min(act.seconds, GRACE))
         finally:
             if played and act.seconds < math.inf:
                 self._mark(act, began, min(last, begin + act.seconds, client.now()))
+
+    def _turn(self, left: float) -> None:
+        """A turn that ends when `left` s are over, at the latest: only where there is time for that does it collect."""
+        if left > 1.5 * LATE:
+            self._stage.turn(min(POLL, 0.5 * (left - LATE)))
+        else:
+            self._stage.turn(max(left, LEAST), collect=False)
 
     def _attempt(self, do: Callable[[], None]) -> None:
         try:
@@ -129,11 +136,11 @@ class Player:
     def _go_on(self, act: Act, t: float) -> None:
         """Send what is asked for at `t` s of the act, where that is another, and see what became of what was sent."""
         now = self._stage.client.now()
-        due = now >= self._due
+        if due := now >= self._due:
+            self._due = now + PERIOD
         for place, course in enumerate(act.courses):
             asked = course.quantity, course.at(t)
             if asked != self._given.get(place) and (due or not course.changes(t)):
-                self._due = now + 0.75 * PERIOD  # a turn may be a little shorter
                 self._give(*asked)
                 self._given[place] = asked
         for machine in self._stage.machines:

@@ -500,14 +500,14 @@ class Rig:
         fit = self.client.heartbeats.get(self.drive.node.number)
         return fit is not None and (fit.tick - newest) / self.recorder.tick_hz > SILENCE
 
-    def _turn(self, timeout: float) -> None:
-        self.client.poll(timeout)
+    def _turn(self, timeout: float, collect: bool = True) -> None:
+        self.client.poll(timeout, collect)
         for other in self.client.beside:
             other.poll(0.0)
 
-    def turn(self, timeout: float) -> None:
-        """One turn of the link, of `timeout` s or twice that. Raises DriveTripped."""
-        self._turn(timeout)
+    def turn(self, timeout: float, collect: bool = True) -> None:
+        """One turn of the link, see `Client.poll`. Raises DriveTripped."""
+        self._turn(timeout, collect)
         if self.outputs is not None:
             for text, level in self.outputs.news():
                 self.client.note(text, level)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import tomllib
@@ -15,11 +16,14 @@ from hypothesis import HealthCheck, given, settings
 from profiles import DRIVE, LOAD, pieces_of, profiles
 from virtual_run import WatchedLink, never_armed, reached_by, simulated
 
-from bench.motion.read import profile_of
+from bench.motion.read import STEP, TOP, profile_of
+from bench.plot.plot import draw_profile
 from bench.plot.profile import draw, points
+from bench.report.style import save
 from protocol.messages import DriveState
 
-EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "motion.toml"
+PAGE = Path(__file__).parents[2] / "docs" / "motion.md"
+EXAMPLE = PAGE.parent / "examples" / "motion.toml"
 
 
 def test_a_profile_is_drawn_before_it_is_played(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -45,6 +49,23 @@ def test_a_profile_is_drawn_before_it_is_played(capsys: pytest.CaptureFixture[st
     for piece in pieces_of(data, DRIVE):
         t = np.linspace(piece.begin + 1e-6, piece.end - 1e-6, 50)
         assert np.interp(t, speed["t_s"], speed["value"]) == pytest.approx(piece.at(t), abs=1.0)
+
+
+def test_the_page_shows_profiles_that_can_be_played_and_the_example_as_it_is_drawn() -> None:
+    text = PAGE.read_text()
+    whole, free = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    assert whole == EXAMPLE.read_text()
+    assert profile_of(tomllib.loads(free), "free").max_speed == 900.0
+    keys = set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE))
+    assert keys == {*STEP, *TOP}
+    figure = draw_profile(EXAMPLE).figure
+    assert figure is not None
+    drawn = io.BytesIO()
+    save(figure, drawn)  # type: ignore[arg-type]
+    drawn.seek(0)
+    now, kept = (matplotlib.image.imread(of)[..., :3] for of in (drawn, PAGE.with_suffix(".png")))
+    assert now.shape == kept.shape
+    assert np.abs(now - kept).mean() < 0.01  # else: bench plot docs/examples/motion.toml
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))

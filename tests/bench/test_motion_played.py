@@ -38,7 +38,7 @@ EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "motion.toml"
 PARAMS = load_params(None, {})
 PER_AMPERE = 1.5 * PARAMS.motor.n_p * PARAMS.motor.psi_f  # N·m
 TRUTH = ["omega_true", "tau_load_true", "omega_ref", "i_q", "status"]
-LATE = 0.0012  # s by which what a step begins with may be late in virtual time
+LATE = 0.0002  # s by which what a step begins with may be late in virtual time: some PWM periods
 PERIOD = 0.02  # s between points of a course
 
 
@@ -243,6 +243,14 @@ def test_duration_cuts_a_profile_or_repeats_it() -> None:
         ended = live(WatchedLink(simulated()), data, duration=seconds)
         assert len(ended.summary.asked) == titles
         assert ended.summary.duration_s == pytest.approx(seconds, abs=0.35)  # and start and stop
+
+
+def test_a_ramp_to_where_it_is_takes_its_time_and_asks_for_nothing_new() -> None:
+    link = Wire(simulated())
+    with rig_on(link, channels=TRUTH) as rig:
+        played = rig.play({"steps": [{"speed_rpm": 0, "ramp_s": 0.3}, {"for_s": 0.1}]})
+    assert len(link.sent) == 1
+    assert played.capture.t[-1] - played.capture.t[0] == pytest.approx(0.4, abs=0.05)
 
 
 # -- what it may not ask for ----------------------------------------------------------------------------------------

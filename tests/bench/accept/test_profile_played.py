@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,8 @@ from virtual_run import at_rest, never_armed, simulated
 from protocol.messages import Fault
 
 pytestmark = pytest.mark.slow
+
+PAGE = Path(__file__).parents[3] / "docs" / "motion.md"
 
 TEST = """
 from pathlib import Path
@@ -49,6 +52,15 @@ def test_it_passes_and_leaves_the_bench_as_it_was(accepting: Accepting) -> None:
     assert link.left() == before
     (test,) = run.result.tests
     assert {"k_p_speed", "observer", "i_max"} >= test.parameters.keys() >= {"k_p_speed", "i_max"}
+
+
+def test_the_test_of_the_page_runs_as_it_is_printed(accepting: Accepting) -> None:
+    (block,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    (accepting.directory / "motion.toml").write_bytes((PAGE.parent / "examples" / "motion.toml").read_bytes())
+    (file := accepting.directory / "own_as_printed_on_motion.py").write_text(block)
+    run = accepting(file)
+    assert (run.code, set(run.measured)) == (0, {"load_step.dip"})
+    assert 20.0 < run.measured["load_step.dip"].value < 120.0
 
 
 def test_it_keeps_to_what_was_announced(accepting: Accepting) -> None:
