@@ -112,7 +112,7 @@ class LiveRun:
         if self.asked.loads:
             load = self.rig.load_machine()
             if load is None:
-                what = "--load" if options.profile is None else "the profile"
+                what = "--load" if options.profile is None else options.profile.source
                 raise BenchError(f"{what} needs a load machine (node {LOAD}), and {self.target} has none")
             load.envelope = envelope
             self.rig.load = load

@@ -36,6 +36,13 @@ def envelope_of(profile: Profile, current: float, drive: Node) -> Envelope:
 
 def check_profile(profile: Profile, drive: Drive, load: Load) -> list[str]:
     """Raise BenchError for what drive, load machine or what was announced do not allow; return what is good to know."""
+    try:
+        return _checked(profile, drive, load)
+    except BenchError as error:
+        raise type(error)(f"{profile.source}, {error}") from None
+
+
+def _checked(profile: Profile, drive: Drive, load: Load) -> list[str]:
     node = drive.node
     _check_load(profile, node, load)
     limits = _limits(drive, load)
@@ -46,7 +53,7 @@ def check_profile(profile: Profile, drive: Drive, load: Load) -> list[str]:
             _within(act.peak(course.quantity), course.quantity, limits, f"{act.place}: {course.quantity}")
         for name, value in act.sets.items():
             _check_parameter(node, act, name, value)
-    return list(dict.fromkeys(_too_steep(profile, node)))
+    return [f"{profile.source}, {words}" for words in dict.fromkeys(_too_steep(profile, node))]
 
 
 def start_for(profile: Profile, drive: Drive, load: Load) -> None:
