@@ -94,7 +94,7 @@ def connect(
             the plant's own.
         save: a run to record to, such as `a.run`; `overwrite` replaces one that is there.
         viewer: a dashboard meanwhile: `native`, `web`, `auto`, or `none`; its address is printed.
-        settings: what a bench.toml says, or its path; None: ./bench.toml, if there is one.
+        settings: what a bench.toml says, or its path; None: bench.toml here or in a folder above, if there is one.
         simulated: of the simulated drive: `config`, the path of a configuration, the name of a motor, or a mapping such
             as {"motor": {"R_s": 0.4}}, in the place of keys of bench.toml's; and `seed`, of its noise: two runs with
             one seed are equal.

@@ -22,6 +22,16 @@ _DEVICE = re.compile(r"^(CON|PRN|AUX|NUL|COM\d|LPT\d)(?=\.|$)", re.IGNORECASE)  
 RUN, RRD = ".run", ".rrd"  # how names of recorded runs end, by custom, and of files for rerun's viewer
 
 
+def found_above(name: str) -> Path | None:
+    """The file `name` of the present directory, else of the nearest one above it that has one; None without any."""
+    try:
+        here = Path.cwd()
+    except OSError:  # it was removed
+        return None
+    folders = (folder for folder in (here, *here.parents) if os.path.exists(folder / name))
+    return next((Path(name) if folder == here else folder / name for folder in folders), None)
+
+
 def check_output(path: Path, what: str, overwrite: bool, recording: bool = False) -> None:
     """Raise BenchError if `path` exists (unless `overwrite`) or cannot be written; changes nothing.
 

@@ -60,6 +60,10 @@ if sys.platform == "win32":
                 return None
             time.sleep(min(left, 2 * _BETWEEN))
 
+    def of_another_user(file: Path) -> bool:
+        """Whether a file belongs neither to this user nor to the system; Windows does not tell."""
+        return False
+
     class _MemoryStatus(ctypes.Structure):
         """MEMORYSTATUSEX."""
 
@@ -93,6 +97,10 @@ else:
             return os.read(terminal, 1024)
         except OSError:  # it was hung up
             return b""
+
+    def of_another_user(file: Path) -> bool:
+        """Whether a file belongs neither to this user nor to root. Raises OSError."""
+        return file.stat().st_uid not in (os.geteuid(), 0)
 
     def memory_limits() -> Iterator[int]:
         """Bytes that this process may still take, by each limit that it has."""

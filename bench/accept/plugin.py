@@ -37,7 +37,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="drive: serial:…, tcp:…, can:…, or sim (default); --target for short, if nothing else has that option",
     )
     group.addoption("--bench-config", metavar="FILE", help="figures of the simulated drive (TOML)")
-    group.addoption("--bench-toml", metavar="FILE", help="the bench: target, load, limits (default: ./bench.toml)")
+    group.addoption(
+        "--bench-toml",
+        metavar="FILE",
+        help="the bench: target, load, limits (default: bench.toml here, or in a folder above)",
+    )
     group.addoption("--bench-seed", type=int, metavar="N", help="of the simulated drive's noise")
     group.addoption("--bench-spec", metavar="FILE", help="what good drives of this kind measure: bands beside limits")
     group.addoption("--bench-operator", metavar="NAME", help="who runs this, for the report")

@@ -38,6 +38,7 @@ _COMMANDS = {
     "score": "Rank position observers on recordings by error, lag and cost.",
     "motor": "Describe a motor to the simulated drive: VESC, ODrive, moteus, a data sheet.",
     "sim": "Run the simulated drive on a pty, a TCP port or a CAN bus.",
+    "init": "Find a drive, ask about the bench, write bench.toml.",
     "devices": "List available ports and buses, or the nodes on one.",
     "info": "Show a drive's identity, descriptor, parameters and health.",
     "protocol": "Write a DBC file of the streams on a CAN bus, for other tools.",

@@ -15,7 +15,7 @@ from bench.cli.number import Number
 from bench.cli.options import yes_option
 from bench.cli.output import Progress
 from bench.cli.streams import echo, note
-from bench.cli.target import TARGET
+from bench.cli.target import TARGET, bench_target
 from bench.errors import BenchError
 from bench.files import STANDARD_OUTPUT, check_directory
 
@@ -46,7 +46,7 @@ class _Screen(Progress):
 @json_option("every result")
 @overwrite_option
 @click.option("--bench", "bench_toml", metavar="FILE", type=FILE,
-              help="Target, load and limits of this bench (default: ./bench.toml).")  # fmt: skip
+              help="Target, load and limits of this bench [default: bench.toml here or above].")  # fmt: skip
 @config_option
 @click.option("--operator", metavar="NAME", help="Who runs this, for the report.")
 @click.option("--motor", metavar="TEXT", help="Which motor this is, for the report: type and serial number.")
@@ -107,6 +107,8 @@ def command(
     from bench.accept.accept import AcceptOptions, accept, closing_lines
 
     learned: list[str] = []
+    if given["target"] is None and not results:
+        given["target"] = bench_target(given["bench_toml"])
     options = AcceptOptions(json=json_file, **given)
     with _Screen(status=not given["list_only"]) as screen:
         if learn is None:

@@ -16,7 +16,7 @@ from bench.cli.number import Number
 from bench.cli.options import operator_option, yes_option
 from bench.cli.output import Progress, table
 from bench.cli.streams import echo, note
-from bench.cli.target import TARGET
+from bench.cli.target import target_argument
 from bench.conform.levels import DEFAULT_LEVEL, LEVELS
 from bench.conform.verdicts import WORDS
 from bench.files import STANDARD_OUTPUT, write
@@ -30,7 +30,7 @@ SHORT = 100  # characters of the evidence of a check that passed, in the table
 
 
 @click.command("conform")
-@click.argument("target", type=TARGET)
+@target_argument()
 @click.option("--level", type=click.IntRange(0, len(LEVELS) - 1), default=DEFAULT_LEVEL, show_default=True,
               metavar="N", help="Highest level to run; 3 energises the drive, 4 turns the shaft.")  # fmt: skip
 @click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0), default=100.0, show_default=True,
@@ -47,7 +47,8 @@ def command(
 ) -> None:
     """Check whether the device on TARGET conforms to HBP, the protocol (protocol/SPEC.md).
 
-    TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim.
+    TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim; without
+    it, what $BENCH_TARGET or bench.toml says.
 
     \b
     Levels; each includes those below it:

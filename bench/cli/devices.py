@@ -12,11 +12,6 @@ from bench.cli.streams import echo
 from bench.cli.target import TARGET
 from protocol.text import told
 
-_NO_ADAPTERS = {"virtual", "udp_multicast", "serial", "slcan", "socketcand"}
-"""Interfaces of python-can that have no adapter to find, or only serial ports, which are listed anyway."""
-
-_DETECTION = 2.0  # s
-
 
 @click.command("devices")
 @click.argument("target", type=TARGET, required=False)
@@ -25,6 +20,8 @@ _DETECTION = 2.0  # s
 def command(target: str | None, json_file: Path | None, overwrite: bool) -> None:
     """List serial ports and CAN interfaces as targets; with TARGET, list the nodes on it.
 
+    Takes no target from bench.toml: without TARGET it lists what there is.
+
     \b
     Examples:
       bench devices
@@ -32,7 +29,9 @@ def command(target: str | None, json_file: Path | None, overwrite: bool) -> None
     """
     check_files({"--json": json_file}, overwrite)
     if target is None:
-        rows: list[dict[str, Any]] = [*_serial_ports(), *_can_interfaces()]
+        from bench.device.ports import places
+
+        rows: list[dict[str, Any]] = places()
         headers, keys = ["target", "description", "USB id", "serial number"], list(_PORT)
         nothing = (
             "no serial ports and no CAN interfaces found; `bench live` runs the simulated drive, "
@@ -59,40 +58,6 @@ def command(target: str | None, json_file: Path | None, overwrite: bool) -> None
 
 _PORT = ("target", "description", "usb_id", "serial_number")
 _NODE = ("node", "role", "name", "firmware", "serial", "build", "state", "boot_id")
-
-
-def _serial_ports() -> list[dict[str, Any]]:
-    from serial.tools import list_ports
-
-    return [
-        {
-            "target": f"serial:{port.device}",
-            "description": port.description if port.description != "n/a" else "",
-            "manufacturer": port.manufacturer or "",
-            "serial_number": port.serial_number or "",
-            "usb_id": f"{port.vid:04x}:{port.pid:04x}" if port.vid is not None and port.pid is not None else "",
-        }
-        for port in sorted(list_ports.comports())
-    ]
-
-
-def _can_interfaces() -> list[dict[str, Any]]:
-    import logging
-
-    import can
-
-    logging.getLogger("can").setLevel(logging.CRITICAL)  # it tells of each driver that is not installed
-    found = can.detect_available_configs(sorted(can.VALID_INTERFACES - _NO_ADAPTERS), timeout=_DETECTION)
-    return [
-        {
-            "target": f"can:{config['interface']}/{config['channel']}",
-            "description": f"CAN by {config['interface']}",
-            "manufacturer": "",
-            "serial_number": str(config.get("serial", "") or config.get("unique_hardware_id", "") or ""),
-            "usb_id": "",
-        }
-        for config in found
-    ]
 
 
 def _nodes(target: str) -> tuple[list[dict[str, Any]], list[str], str]:

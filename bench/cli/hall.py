@@ -18,7 +18,7 @@ from bench.cli.files import FILE, RUN, check_files, config_option, json_option, 
 from bench.cli.number import Number
 from bench.cli.options import operator_option, part_options, yes_option
 from bench.cli.streams import echo, note
-from bench.cli.target import TargetType
+from bench.cli.target import TargetType, simulated_figures, target_argument
 from bench.errors import BenchError, ExitCode, Interrupted, OutputsMayBeOn
 from bench.files import STANDARD_OUTPUT, is_run, run_folder
 from bench.signal.verdict import Verdict
@@ -48,7 +48,7 @@ class _SourceType(TargetType):
 def _looking(function: Callable[..., None]) -> Callable[..., None]:
     """The argument and the options that both commands have."""
     for decorate in reversed((
-        click.argument("source", metavar="TARGET|RUN", type=_SourceType()),
+        target_argument("source", _SourceType(), "[TARGET|RUN]"),
         click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0), default=240.0, show_default=True,
                      help="Highest speed, forward and reverse, r/min."),
         click.option("--current", "current_a", metavar="A", type=Number(above=0),
@@ -87,10 +87,10 @@ def command() -> None:
 def check(source: str, json_file: Path | None, **given: Any) -> None:
     """Check the Hall sensors, their wiring and the encoder, and name the fault.
 
-    TARGET: serial:/dev/ttyACM0, tcp:HOST:PORT, can:socketcan/can0, or sim (the simulated drive, in virtual time). The
-    motor turns slowly forward and reverse, within --speed and --current; the control uses the encoder if there is one.
-    If the drive trips, what was recorded is still evaluated. RUN: a recording in which the shaft turned forward and
-    reverse.
+    TARGET: serial:/dev/ttyACM0, tcp:HOST:PORT, can:socketcan/can0, or sim (the simulated drive, in virtual time);
+    without it, what $BENCH_TARGET or bench.toml says. The motor turns slowly forward and reverse, within --speed and
+    --current; the control uses the encoder if there is one. If the drive trips, what was recorded is still evaluated.
+    RUN: a recording in which the shaft turned forward and reverse.
 
     Exit codes: 0 healthy, 1 fault found, 2 inconclusive, error, or not completed, such as where the drive tripped or
     rebooted, 5 outputs may still be on.
@@ -281,6 +281,8 @@ def _options(source: str, given: dict[str, Any], outputs: dict[str, Path | None]
     """Checked as far as that can be done before anything is opened."""
     from bench.hall.source import Options
 
+    if source == "sim":
+        given["config"] = simulated_figures(given["config"])
     options = Options(source, **given)
     inputs = [source if options.recorded else None, options.config]
     check_files({"--save": options.save, **outputs}, options.overwrite, inputs, recordings=["--save"])

@@ -10,17 +10,19 @@ import click
 
 from bench.cli.files import check_files, json_option, overwrite_option, write_json
 from bench.cli.streams import echo, note
-from bench.cli.target import TARGET
+from bench.cli.target import simulated_figures, target_argument
 from bench.report.words import number
 from protocol.text import counted, told
 
 
 @click.command("info")
-@click.argument("target", type=TARGET)
+@target_argument()
 @json_option("all of this")
 @overwrite_option
 def command(target: str, json_file: Path | None, overwrite: bool) -> None:
     """Show identity, channels, parameters and health of every node on TARGET. Read-only.
+
+    Without TARGET, what $BENCH_TARGET or bench.toml says.
 
     \b
     Examples:
@@ -35,7 +37,7 @@ def command(target: str, json_file: Path | None, overwrite: bool) -> None:
         if target == "sim":
             from bench.device.simulator import EmbeddedDrive
 
-            target = stack.enter_context(EmbeddedDrive(note=note)).target
+            target = stack.enter_context(EmbeddedDrive(simulated_figures(None), note)).target
         found = inspect_link(target)
     if json_file is not None:
         write_json(json_file, found)

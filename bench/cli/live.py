@@ -14,7 +14,7 @@ from bench.cli.files import FILE, RUN, check_files, config_option, json_option, 
 from bench.cli.number import Duration, Number
 from bench.cli.options import channels_option, operator_option, viewer_option, yes_option
 from bench.cli.streams import echo, note
-from bench.cli.target import TARGET
+from bench.cli.target import simulated_figures, target_argument
 from bench.errors import BenchError
 from bench.files import RRD, STANDARD_OUTPUT
 from bench.record.ring import LEAST, SHORTEST
@@ -38,7 +38,7 @@ class Observer(click.Choice[str]):
 
 
 @click.command("live")
-@click.argument("target", required=False, type=TARGET)
+@target_argument(needed=False)
 @click.option("--speed", "speed_rpm", metavar="RPM", type=Number(),
               help="Spin the motor at this speed, r/min; negative: reverse.")  # fmt: skip
 @click.option("--load", "load_a", metavar="A", type=Number(),
@@ -79,11 +79,11 @@ class Observer(click.Choice[str]):
 def command(target: str | None, json_file: Path | None, config: Path | None, operator: str, **given: Any) -> None:
     """Stream a drive into rerun: watch it, spin it, record it.
 
-    TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim (the simulated drive). Without
-    TARGET, the simulated drive runs a short show: start-up, speed step and load step, first with the average-speed
-    observer, then with the vector-tracking observer.
+    TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim (the simulated drive); without
+    it, what $BENCH_TARGET or bench.toml says. Where neither says anything, the simulated drive runs a short show:
+    start-up, speed step and load step, first with the average-speed observer, then with the vector-tracking observer.
 
-    Without --speed, --load and --profile, a drive given as TARGET is only watched, not energised.
+    Without --speed, --load and --profile, a drive that is named by any of them is only watched, not energised.
 
     Ctrl-C switches the outputs off, completes the recording and exits with code 130.
 
@@ -96,6 +96,8 @@ def command(target: str | None, json_file: Path | None, config: Path | None, ope
       bench live sim --profile motion.toml --save a.run
     """
     _check(target, config, given)
+    if target in (None, "sim"):
+        config = simulated_figures(config)
     files = {"--save": given["save"], "--json": json_file}
     check_files(files, given["overwrite"], [config, given["profile_file"]], recordings=["--save"])
     if (file := given.pop("profile_file")) is not None:

@@ -10,7 +10,7 @@ import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import NoReturn
 from zlib import crc32
@@ -101,6 +101,8 @@ class Node:
     def __init__(self, client: Client, number: int) -> None:
         self.client = client
         self.number = number
+        self.encoder = True
+        """False: none is mounted, whatever the firmware tells: then no channel has the flag REFERENCE."""
         self._identity: HelloReply | None = None
         self._descriptor: Descriptor | None = None
         self._streams: dict[int, StreamSet] = {}
@@ -150,7 +152,10 @@ class Node:
                 f"the descriptor of node {self.number} has CRC {crc:08x}, HELLO announced "
                 f"{self.identity.schema_crc:08x}: the firmware's schema_crc is wrong"
             )
-        return Descriptor.unpack(blob, f"node {self.number}")
+        told = Descriptor.unpack(blob, f"node {self.number}")
+        if self.encoder:
+            return told
+        return replace(told, channels=tuple(replace(c, flags=c.flags & ~Flag.REFERENCE) for c in told.channels))
 
     def parameter(self, name: str) -> ParamReply:
         """Value, range and default of a parameter, in its unit. Raises DeviceDefect if its value cannot be."""

@@ -37,11 +37,11 @@ def scan(link: Link, seconds: float = 1.0) -> list[HelloReply]:
     return look_around(link, seconds).replies
 
 
-def look_around(link: Link, seconds: float = 1.0) -> Found:
+def look_around(link: Link, seconds: float = 1.0, patience: float | None = None) -> Found:
     """Return what the devices that answer within `seconds` say of themselves, in the order of their nodes.
 
     On a CAN bus every device is asked at once, on a byte link each node that the first one names; there the first
-    answer is waited for as long as a device may take to boot. Raises LinkError.
+    answer is waited for `patience` s, None: as long as a device may take to boot. Raises LinkError.
     """
     wire = link.wire()
     session, hello = HostSession(wire), Hello(secrets.randbits(32))
@@ -52,7 +52,7 @@ def look_around(link: Link, seconds: float = 1.0) -> Found:
     asked = 0  # how often nodes beside the first one were
     link.write(wire.preamble())
     began = next_hello = link.clock() + wire.delay
-    end = began + (seconds if wire.shared else max(seconds, wire.patience))
+    end = began + (seconds if wire.shared else max(seconds, wire.patience if patience is None else patience))
     while (now := link.clock()) < end:
         if now >= next_hello:
             next_hello = now + REPEAT

@@ -109,7 +109,9 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
     station = read_settings(None)
     still = options.passive or options.reads
     operator, load = options.operator or station.operator, "none" if still else "node"
-    settings = Settings(station=station.station, operator=operator, config=options.config, load=load)
+    settings = Settings(
+        station=station.station, operator=operator, config=options.config, load=load, encoder=station.encoder
+    )
     current = options.current_a
     plan = Plan(
         lambda: open_target(options.source, settings, "hall"),

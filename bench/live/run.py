@@ -38,7 +38,7 @@ from bench.rig.outcome import RunOutcome
 from bench.rig.outputs import Recording, load_beside, require_viewable
 from bench.rig.play import Player
 from bench.rig.played import Span
-from bench.rig.profile import check_profile, envelope_of
+from bench.rig.profile import check_profile, envelope_of, set_first
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.streams import decimation_of
@@ -340,6 +340,7 @@ class LiveRun:
                 rig.until(self._look, math.inf if seconds is None else seconds)
                 return ""
             rig.drive.limit_current()
+            set_first(self.asked, rig.drive)
             for machine in reversed(rig.machines):  # the load machine first, so that it holds the shaft
                 machine.energise()
             player = Player(rig, self.asked.max_speed, self._act_begun, self._act_over, self._look)

@@ -19,11 +19,20 @@ from protocol.links import Link, open_link
 from protocol.messages import Role
 
 SIM = "sim"
+VARIABLE = "BENCH_TARGET"
+"""Of the environment: it names the target where the command line does not."""
+
+
+def chosen_target(settings: Settings) -> tuple[str, str]:
+    """What $BENCH_TARGET, or else bench.toml, says, and which of them that is; two empty texts where neither does."""
+    if named := os.environ.get(VARIABLE):
+        return named, f"${VARIABLE}"
+    return settings.target, str(settings.path) if settings.target else ""
 
 
 def target_of(given: str | None, settings: Settings) -> str:
     """By option, environment, bench.toml; else the simulated drive."""
-    return given if given is not None else os.environ.get("BENCH_TARGET") or settings.target or SIM
+    return given if given is not None else chosen_target(settings)[0] or SIM
 
 
 def open_target(target: str, settings: Settings, name: str = "") -> Link:

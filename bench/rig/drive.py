@@ -23,6 +23,10 @@ from bench.signal.units import RPM, pole_pairs, shaft_speed
 from protocol.codes import Fault, fault_names
 from protocol.errors import HbpError
 from protocol.messages import DriveState
+from protocol.signals import AngleSource
+
+OBSERVER = "observer"
+"""The parameter that chooses the angle source of the control."""
 
 
 class DriveTripped(BenchError):
@@ -105,7 +109,17 @@ class Drive(Machine):
         source = source_number(observer)
         if source is None:
             raise BenchError(f"no angle source '{observer}'; available: {', '.join(source_names())}")
-        self.set("observer", float(source))
+        self.set(OBSERVER, float(source))
+
+    def energise(self) -> None:
+        """See `Machine.energise`. BenchError where its control would go by an encoder that is not mounted."""
+        self._require_encoder(self.parameters.get(OBSERVER, math.nan))
+        super().energise()
+
+    def _require_encoder(self, observer: float) -> None:
+        if observer == AngleSource.ENCODER and not self.node.encoder:
+            words = "the control would go by the encoder, and bench.toml says that none is mounted ([rig] encoder)"
+            raise BenchError(f"{words}: choose another angle source, such as average-speed")
 
     def speed(
         self, *, rpm: float | None = None, rad_s: float | None = None, unless: Callable[[], bool] = lambda: False
@@ -157,6 +171,8 @@ class Drive(Machine):
             return
         if name == "i_max":
             require_announced(name, value, self.envelope.current, "A", "current")
+        if name == OBSERVER:
+            self._require_encoder(value)
         with self._trips_first():
             self._set(name, value)
         self.changed[name] = self.parameters[name]

@@ -15,7 +15,7 @@ from bench.signal.channels import flagged, reference_angle
 from bench.signal.sources import source_number
 from bench.signal.units import pole_pairs
 from protocol.messages import Feature
-from protocol.signals import Flag, Unit
+from protocol.signals import AngleSource, Flag, Unit
 
 NEEDS: dict[str, tuple[str, ...]] = {
     "the show": tuple(f"parameter:{name}" for name in ("n_p", "psi_f_hat", "observer", "omega_m_max", "i_max")),
@@ -67,7 +67,7 @@ def lacks(node: Node, need: str) -> str:
 
 def offers(node: Node, source: str) -> bool:
     """Whether the parameter `observer` of `node` can be set to this angle source, by its name."""
-    if not node.has_parameter("observer"):
+    if not node.has_parameter("observer") or (not node.encoder and source_number(source) == AngleSource.ENCODER):
         return False
     allowed, number = node.parameter("observer"), source_number(source)
     return number is not None and allowed.lo <= number <= allowed.hi

@@ -12,11 +12,12 @@ from bench.device.node import Node
 from bench.errors import BenchError, NodeError
 from bench.motion.profile import CURRENT, LOAD_CURRENT, LOAD_SPEED, LOAD_TORQUE, SPEED, UNITS, Act, Profile
 from bench.rig.consent import FLOAT32
-from bench.rig.drive import Drive
+from bench.rig.drive import OBSERVER, Drive
 from bench.rig.envelope import Envelope
 from bench.rig.loads import SPEED as FORCES
 from bench.rig.loads import TORQUE, Load, NodeLoad, PersonLoad
-from bench.rig.needs import NEEDS, require
+from bench.rig.needs import NEEDS, offers, require
+from bench.signal.sources import source_name
 from bench.signal.units import RPM, pole_pairs
 from protocol.signals import Flag
 from protocol.text import did_you_mean
@@ -69,7 +70,14 @@ def start_for(profile: Profile, drive: Drive, load: Load) -> None:
     if profile.loads and isinstance(load, NodeLoad):
         load.start()
     if not drive.on:
+        set_first(profile, drive)
         drive.start()
+
+
+def set_first(profile: Profile, drive: Drive) -> None:
+    """Set the parameters of the first step, while the drive is off: with its angle source it is to start."""
+    for name, value in profile.acts[0].sets.items():
+        drive.set(name, value)
 
 
 def _torque_constant(drive: Node) -> float | None:
@@ -141,6 +149,10 @@ def _check_parameter(drive: Node, act: Act, name: str, value: float) -> None:
         raise NodeError(f"{act.place} sets {name}, which can be set only while the outputs are off (IDLE_ONLY)")
     if record.flags & Flag.WHOLE and value != int(value):
         raise NodeError(f"{act.place} sets {name} = {value:g}, and it takes whole numbers only")
+    if name == OBSERVER and not offers(drive, source_name(value)):
+        raise NodeError(
+            f"{act.place} sets the angle source {source_name(value) or f'{value:g}'}, which the drive lacks"
+        )
     now = drive.parameter(name)
     if not now.lo <= value <= now.hi:
         unit = f" {record.unit.symbol}".rstrip()

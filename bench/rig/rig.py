@@ -24,7 +24,7 @@ from bench.errors import BenchError, DriveFailed, OutputsMayBeOn, SeveralDevices
 from bench.motion.profile import Profile
 from bench.motion.read import read_profile
 from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
-from bench.rig.drive import Drive, DriveTripped
+from bench.rig.drive import OBSERVER, Drive, DriveTripped
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import FirstSignal, undisturbed
 from bench.rig.loads import Load, NodeLoad, NoLoad, OwnLoads, PersonLoad
@@ -130,6 +130,7 @@ class Rig:
             self.client = Client(link, plan.reconnect, plan.private)
             self.client.on_reboot = self._rebooted.add
             node = plan.find(self.client, plan.target)
+            node.encoder = plan.settings.encoder
             self.drive = Drive(node, plan.envelope)
             if plan.goes_on:
                 self.drive.advice = ""  # nobody computes here
@@ -411,15 +412,18 @@ class Rig:
     def play(self, profile: Profile | Mapping[str, Any] | str | Path) -> Played:
         """Play a motion profile: the path of its TOML, what that says as a mapping, or as `read_profile` gives it.
 
-        All of it is checked before anything turns; then the drive is started, if it is off. At the end parameters are
-        as they were, and the drive goes on with what the last step asked for. Raises BenchError for what the profile,
-        the drive or what was announced do not allow, and DriveTripped.
+        All of it is checked before anything turns; then the drive is started, if it is off. At the end parameters but
+        the angle source are as they were, and the drive goes on with what the last step asked for. Raises BenchError
+        for what the profile, the drive or what was announced do not allow, and DriveTripped.
         """
         asked = profile if isinstance(profile, Profile) else read_profile(profile)
         for words in check_profile(asked, self.drive, self.load):
             self.note(words, "WARN")
+        changed = {name for act in asked.acts for name in act.sets} - {
+            OBSERVER
+        }  # a running motor keeps its angle source
+        before = {name: self.drive.parameters[name] for name in sorted(changed)}
         start_for(asked, self.drive, self.load)
-        before = {name: self.drive.parameters[name] for act in asked.acts for name in act.sets}
         spans: list[Span] = []
 
         def marked(span: Span) -> None:

@@ -9,6 +9,7 @@
     [rig]
     load = "node"                      # "node" (number 2 on the link), "none", "person", a target, "FILE.py:Class"
     person = true                      # somebody is there to turn knobs and pull wires when asked
+    encoder = false                    # none is mounted, whatever the drive tells: nothing is compared with it
 
     [rated]
     speed_rpm = 2000                   # what tests ask for shares of; without it what the drive's limits say
@@ -25,16 +26,19 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from bench.device.simulator import configuration
 from bench.errors import BenchError
-from bench.files import write
+from bench.files import found_above, write
 from bench.signal.limits import Limits
+from bench.system import of_another_user
 from protocol.errors import TargetError
 from protocol.links.target import parse_target
 from protocol.text import did_you_mean
@@ -43,7 +47,7 @@ FILE = "bench.toml"
 _TOP = dict.fromkeys(("target", "station", "operator", "motor", "config"), str) | dict.fromkeys(
     ("rig", "rated", "limits"), dict
 )
-_RIG = {"load": str, "person": bool}
+_RIG = {"load": str, "person": bool, "encoder": bool}
 _RATED = {"speed_rpm": Real, "current": Real}
 LOADS = ("node", "none", "person")
 MUCH_ALIKE = 0.85  # from this ratio on (difflib) a name is taken for another that is misspelt
@@ -69,6 +73,8 @@ class Settings:
     """Of the simulated drive's noise; None: one of its own for each test."""
     load: str = "node"
     person: bool = False
+    encoder: bool = True
+    """Whether the encoder that a drive tells of is mounted."""
     rated: Mapping[str, float] = field(default_factory=dict)
     """What the drive is rated for, where its own limits do not say it: `speed_rpm`, `current`."""
     limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -115,49 +121,77 @@ def require_known(names: Collection[str], where: str, tests: Mapping[str, Collec
     return elsewhere
 
 
+def settings_file() -> Path | None:
+    """`bench.toml` of the present directory, or of the nearest one above it; None where there is none.
+
+    BenchError for one above that belongs to another user: it may name a drive, and code, that nobody here has chosen.
+    """
+    file = found_above(FILE)
+    if file is not None and file.is_absolute() and of_another_user(file):
+        words = f"go to {file.parent} to use it, or put a {FILE} of your own here (an empty one will do)"
+        raise BenchError(f"{file} belongs to another user: {words}")
+    return file
+
+
 def read_settings(path: Path | None) -> Settings:
-    """Read `path`, or `bench.toml` in the present directory if there is one. BenchError for what cannot be used."""
-    file = path or Path(FILE)
+    """Read `path`, or where that is None the `settings_file`, if there is one. BenchError for what cannot be used."""
+    file = path or settings_file()
+    if file is None:
+        return Settings()
     try:
-        data = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        text = file.read_text(encoding="utf-8-sig")
+        data = tomllib.loads(text)
     except FileNotFoundError:
-        if path is None:
-            return Settings()
-        raise BenchError(f"no file {path}") from None
+        raise BenchError(f"no file {file}") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise BenchError(f"cannot read {file}: {error}") from None
     except RecursionError:
         raise BenchError(f"cannot read {file}: it is nested too deeply") from None
+    place = partial(_Place, file, text)
+    for keys, known in (((), _TOP), (("rig",), _RIG), (("rated",), _RATED)):
+        _check(data.get(keys[0], {}) if keys else data, known, keys, place)
     rig, rated = data.get("rig", {}), data.get("rated", {})
-    for table, known, prefix in ((data, _TOP, ""), (rig, _RIG, "rig."), (rated, _RATED, "rated.")):
-        _check(table, known, prefix, file)
     for key, value in rated.items():
         if not 0.0 < value < math.inf:
-            raise BenchError(f"rated.{key} in {file} must be more than 0, got {value!r}")
-    config, load = data.get("config"), rig.get("load", "node")
-    if load not in LOADS and ".py:" not in load:
+            raise BenchError(f"rated.{key} in {place('rated', key)} must be more than 0, got {value!r}")
+    target, config, load = data.get("target", ""), data.get("config"), rig.get("load", "node")
+    check_load(load, f"rig.load in {place('rig', 'load')}")
+    if target not in ("", "sim"):
         try:
-            parse_target(load)
+            parse_target(target)
         except TargetError as error:
-            forms = f"{', '.join(LOADS)}, FILE.py:Class or a target"
-            raise BenchError(f"rig.load in {file} must be {forms}: {error}") from None
+            raise BenchError(f"target in {place('target')}: {error}") from None
     return Settings(
         path=file,
-        **{name: data.get(name, "") for name in ("target", "station", "operator", "motor")},
+        target=target,
+        **{name: data.get(name, "") for name in ("station", "operator", "motor")},
         config=None if config is None else configuration(file.parent / config, config),
         load=load,
         person=rig.get("person", False),
+        encoder=rig.get("encoder", True),
         rated={key: float(value) for key, value in rated.items()},
-        limits={name: read_limits(name, value, str(file)) for name, value in data.get("limits", {}).items()},
+        limits={
+            name: read_limits(name, value, place("limits", name)) for name, value in data.get("limits", {}).items()
+        },
     )
 
 
+def check_load(load: str, what: str) -> None:
+    """BenchError, which begins with `what`, for a load that no bench has."""
+    if load in LOADS or ".py:" in load:
+        return
+    try:
+        parse_target(load)
+    except TargetError as error:
+        raise BenchError(f"{what} must be {', '.join(LOADS)}, FILE.py:Class or a target: {error}") from None
+
+
 def write_rated(path: Path | None, told: Mapping[str, float | None]) -> None:
-    """Write what is told to [rated] of `path`, or of `bench.toml` in the present directory; all else stays as it is.
+    """Write what is told to [rated] of `path`, of the `settings_file`, or of a new one here; all else stays as it is.
 
     BenchError where the file says otherwise, or cannot be written.
     """
-    file = path or Path(FILE)
+    file = path or settings_file() or Path(FILE)
     there = read_settings(path).rated
     given = {key: value for key, value in told.items() if value is not None and there.get(key) != value}
     for key in given.keys() & there.keys():
@@ -184,18 +218,42 @@ def _numbers(name: str) -> list[str]:
     return re.findall(r"\d+", name)
 
 
-def _check(table: Mapping[str, Any], known: Mapping[str, type], prefix: str, file: Path) -> None:
+class _Place:
+    """Where the key stands that `keys` lead to, as FILE:LINE; it is looked for when that is shown."""
+
+    def __init__(self, file: Path, text: str, *keys: str) -> None:
+        self._file, self._text, self._keys = file, text, keys
+
+    def __str__(self) -> str:
+        lines = self._text.split("\n")
+        for number in range(1, len(lines) + 1):
+            with suppress(tomllib.TOMLDecodeError):  # a value goes on on the next line
+                if self._has(tomllib.loads("\n".join(lines[:number]))):
+                    return f"{self._file}:{number}"
+        return str(self._file)
+
+    def _has(self, table: Any) -> bool:
+        for key in self._keys:
+            if not isinstance(table, dict) or key not in table:
+                return False
+            table = table[key]
+        return True
+
+
+def _check(table: Any, known: Mapping[str, type], keys: tuple[str, ...], place: Callable[..., _Place]) -> None:
+    prefix = "".join(f"{key}." for key in keys)
     for key, value in table.items():
+        where = place(*keys, key)
         if key not in known:
             there = f"there are {', '.join(prefix + k for k in known)}"
             hint = did_you_mean(key, known, there, f"did you mean {prefix}{{}}?")
-            raise BenchError(f"unknown key {prefix}{key} in {file}: {hint}")
+            raise BenchError(f"unknown key {prefix}{key} in {where}: {hint}")
         if not isinstance(value, known[key]) or (known[key] is Real and isinstance(value, bool)):
             word = {str: "text", bool: "true or false", dict: "a table", Real: "a number"}[known[key]]
-            raise BenchError(f"{prefix}{key} in {file} must be {word}, got {value!r}")
+            raise BenchError(f"{prefix}{key} in {where} must be {word}, got {value!r}")
 
 
-def read_limits(name: str, value: Any, where: str) -> dict[str, float]:
+def read_limits(name: str, value: Any, where: object) -> dict[str, float]:
     """Limits of a measurement as a TOML has them; BenchError for what are none."""
     if not isinstance(value, dict) or not value or not set(value) <= {"lo", "hi"}:
         raise BenchError(f"limits.{name!r} in {where} must look like {{ lo = 0.0, hi = 1.0 }}, got {value!r}")

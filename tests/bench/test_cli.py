@@ -22,7 +22,7 @@ from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
 COMMANDS = ["live", "view", "mark", "plot", "measure", "compare", "import", "export", "accept", "conform", "hall"]
-COMMANDS += ["replay", "study", "tune", "score", "motor", "sim", "devices", "info", "protocol", "completion"]
+COMMANDS += ["replay", "study", "tune", "score", "motor", "sim", "init", "devices", "info", "protocol", "completion"]
 
 
 def test_the_commands_are_these() -> None:

@@ -289,7 +289,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 @pytest.mark.parametrize(("arguments", "says"), [
     (("tcp:127.0.0.1:7000",), "tcp:127.0.0.1:7000 is not a CAN bus"),
     (("serial:/dev/ttyACM0",), "can:socketcan/can0"),
-    ((), "Missing argument 'TARGET'"),
+    ((), "no TARGET: name one, set $BENCH_TARGET, or let `bench init` write a bench.toml"),
 ])  # fmt: skip
 def test_refusals(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], says: str) -> None:
     assert says in refusal(capsys, *arguments)

@@ -436,6 +436,23 @@ def test_the_angle_source_of_the_command_line_is_there_from_the_beginning() -> N
     assert sources[-1] == 2.0
 
 
+def test_without_an_encoder_no_step_may_go_by_it() -> None:
+    """Bench.toml says that none is mounted; the drive would start by it, and the first step takes another source."""
+    settings = bench.Settings(encoder=False)
+    first = {"speed_rpm": 200, "for_s": 0.3, "observer": "average-speed"}
+    link = WatchedLink(simulated(firmware__observer=0))
+    for step in ({"observer": "encoder", "for_s": 0.1}, {"set": {"observer": 0}, "for_s": 0.1}):
+        with pytest.raises(BenchError, match=r"motion.toml, step 2 sets the angle source encoder, which the drive"):
+            live(link, {"steps": [first, step]}, settings=settings)
+        link.reopen()
+    assert never_armed(link)
+    assert live(link, {"steps": [first]}, settings=settings).exit_code == 0
+    link.reopen()
+    with rig_on(link, settings=settings) as rig:
+        rig.play({"steps": [first]})
+    assert link.device.bench.parameters["observer"] == 0.0
+
+
 def test_setpoints_that_are_lost_are_sent_again() -> None:
     link = Wire(simulated(), lost=lambda number: number % 3 != 0)
     speeds = []

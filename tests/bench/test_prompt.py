@@ -12,7 +12,7 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 
 import pytest
@@ -56,6 +56,41 @@ def on_terminal(
 
     Where nothing comes of that within `again` s, it is typed again. Returns its exit code and all that it wrote.
     """
+    seen, due = 0, math.inf
+
+    def typed(text: bytes) -> bytes:
+        nonlocal seen, due
+        if text.count(prompt) > seen:
+            seen, due = text.count(prompt), time.monotonic() + after
+        if time.monotonic() < due:
+            return b""
+        due = time.monotonic() + again
+        return reply
+
+    return _conversation(arguments, typed)
+
+
+def dialogue(arguments: list[str], exchanges: list[tuple[bytes, bytes]]) -> tuple[int, str]:
+    """Run `bench ARGUMENTS…` on a terminal; each reply is typed once its prompt, a pattern, is shown after the last.
+
+    Returns its exit code and all that it wrote.
+    """
+    left, read = list(exchanges), 0
+
+    def typed(text: bytes) -> bytes:
+        nonlocal read
+        if not left or not (shown := re.compile(left[0][0]).search(text, read)):
+            return b""
+        read = shown.end()
+        return left.pop(0)[1]
+
+    code, text = _conversation(arguments, typed)
+    assert not left, (left[0], text)
+    return code, text
+
+
+def _conversation(arguments: list[str], typed: Callable[[bytes], bytes]) -> tuple[int, str]:
+    """Run `bench ARGUMENTS…` on a terminal, at which is typed what `typed` gives for all that was written so far."""
     controller, terminal = pty.openpty()
     process = subprocess.Popen(
         [sys.executable, "-m", "bench", *arguments],
@@ -63,15 +98,12 @@ def on_terminal(
         start_new_session=True, preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
     )  # fmt: skip
     os.close(terminal)
-    text, seen, due = b"", 0, math.inf
+    text = b""
     end = time.monotonic() + LIMIT
     try:
         while time.monotonic() < end:
-            if text.count(prompt) > seen:
-                seen, due = text.count(prompt), time.monotonic() + after
-            if time.monotonic() >= due:
-                due = time.monotonic() + again
-                os.write(controller, reply)
+            if keys := typed(text):
+                os.write(controller, keys)
             if not select.select([controller], [], [], 0.05)[0]:
                 continue
             try:
