@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from bench.errors import BenchError
@@ -17,13 +18,14 @@ class Span(NamedTuple):
     last: int
 
 
+@dataclass(frozen=True, repr=False)
 class Played:
-    """`capture` is all of it; `played["load step"]` is the step of that mark, `played["reversal#2"]` its second."""
+    """A profile that was played: `played["load step"]` is the step of that name, `played["reversal#2"]` its second."""
 
-    def __init__(self, capture: Capture, spans: tuple[Span, ...]) -> None:
-        self.capture = capture
-        self.spans = spans
-        """In the order in which they were played."""
+    capture: Capture
+    """All of it."""
+    spans: tuple[Span, ...]
+    """Its steps, in the order in which they were played."""
 
     def __getitem__(self, name: str) -> Capture:
         """The samples of a step. BenchError where there is none of that name, or several and no number says which."""
