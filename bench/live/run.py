@@ -226,8 +226,8 @@ class LiveRun:
         profile_file = "" if options.profile is None else options.profile.source
         about = {name: words for name, words in (("note", options.note), ("profile", profile_file)) if words}
         recording = Recording(
-            options.save, about, options.viewer, options.overwrite,
-            options.web_port, Stored(options.keep, options.split), self._sector(),
+            options.save, about, options.viewer, options.overwrite, options.web_port,
+            Stored(options.keep, options.split),
         )  # fmt: skip
         sinks: list[Sink] = [_ScreenNotes(self.screen), self._stats.dates, self._gathered]
         outputs = rig.record_to(recording, sinks, added)
@@ -247,12 +247,6 @@ class LiveRun:
             self.node.next_heartbeat()
         else:
             self.client.tell(HeartbeatReceived(self.node.number, beat))
-
-    def _sector(self) -> float | None:
-        """How long a Hall sector lasts at the highest speed that is asked for, s."""
-        speed = 0.0 if self.asked is None else self.asked.peak(profile.SPEED, profile.LOAD_SPEED)
-        n_p = pole_pairs(self.rig.drive.parameters)
-        return math.tau / (6.0 * n_p * speed * RPM) if speed and n_p else None
 
     def _mark(self, name: str, first: int, last: int, verdict: Verdict | None = None) -> float:
         """Mark the run from tick `first` to `last`, which is returned in s."""

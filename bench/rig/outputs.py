@@ -70,8 +70,6 @@ class Recording:
     web_port: int | None = None
     stored: Stored = FOR_EVER
     """How a recording is kept that goes on for long."""
-    sector: float | None = None
-    """How long a Hall sector will last, s, where that is known."""
 
 
 class Outputs:
@@ -99,7 +97,7 @@ class Outputs:
 
             try:
                 kind = chosen(recording.viewer)
-                self.view = LiveView(run, kind, web_port=recording.web_port, sector=recording.sector)
+                self.view = LiveView(run, kind, web_port=recording.web_port)
             except BaseException:
                 if self.file is not None:
                     self.file.close()

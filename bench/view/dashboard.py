@@ -1,8 +1,9 @@
 """The views of a run, as a rerun blueprint.
 
-First page: left, the last half minute (bands from minima and maxima); in the middle, every sample of the last moments;
-right, the stator plane, the run in words and its log. Second page: what the last second comes to. The same blueprint
-serves the live view and the file. A view that the run's channels cannot fill is left out. Nothing here logs data.
+First page: left, the last half minute (bands from minima and maxima); in the middle, the last electrical
+revolution; right, the stator plane, the run in words and its log. Second page: what the last second comes to. The same
+blueprint serves the live view and the file, which has a third page: every sample of the last moments. A view that the
+run's channels cannot fill is left out. Nothing here logs data.
 """
 
 from __future__ import annotations
@@ -17,11 +18,12 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from bench.record.info import Mark, RunInfo, ns_from_tick
 from bench.signal.colours import BAD, GROUND
-from bench.view import last_second, plane, schema
+from bench.view import last_second, plane, schema, scope_picture
 from bench.view.extent import Extent
 from bench.view.last_second import LastSecond
 from bench.view.plane import Plane
 from bench.view.plots import LEGEND_SHARE, TREND, WAVE, Line, Plot, plots, returns
+from bench.view.scope import scopes
 from bench.view.states import drive_entity
 
 HALL = 0.1  # seconds that the Hall view shows
@@ -69,18 +71,12 @@ def blueprint(
         f"Drive, last {TREND:g} s" if whole is None else "Drive", drive_entity(run),
         trend or _span(TREND), None if whole is None else _wide(run, *whole),
     )  # fmt: skip
-    seconds = HALL if sector is None else min(MOST_HALL, max(LEAST_HALL, SECTORS_SHOWN * sector))
-    hall = _lanes(
-        f"Hall sensors and sector, last {seconds:.2g} s{', close-ups only' if coarse else ''}",
-        schema.HALL_LANES, _span(seconds + HALL_QUERIED), _span(seconds),
-    )  # fmt: skip
     second_page = _last_second(run, found, whole)
     apart = {"bus"} if second_page else set()
-    trends = _rows([p for key, p in found.items() if p.entity == schema.TREND and key not in apart], run, whole)
-    waves = _rows([plot for plot in found.values() if plot.entity == schema.FAST], run)
+    trends = [plot for key, plot in found.items() if plot.entity == schema.TREND and key not in apart]
     columns = [
-        _column(trends, [states]),
-        _column(waves, [hall, *_returns(run, whole)] if run.hall else []),
+        _column(_rows(trends, run, whole), [states], 2.7 / 3.0),
+        _column(_revolutions(run), _returns(run, whole) if run.hall else [], 0.22),
         _texts(Plane(run).contents),
     ]
     shares = [5, 5, 4.4]
@@ -91,9 +87,9 @@ def blueprint(
     )
     if marks:
         views = rrb.Vertical(views, _marked(run, marks), row_shares=[8, 1], name="Run")
-    return without_panels(
-        rrb.Tabs(views, second_page, active_tab=page) if second_page else views, play_state="following"
-    )
+    samples = None if whole is None else _samples(run, found, coarse, sector)
+    pages = [page for page in (views, second_page, samples) if page]
+    return without_panels(rrb.Tabs(*pages, active_tab=page) if len(pages) > 1 else views, play_state="following")
 
 
 def without_panels(views: Shown, **time: Any) -> rrb.Blueprint:
@@ -113,12 +109,31 @@ def _of_all(plot: Plot, close: float, extent: Extent | None) -> Plot:
     return replace(plot, name=f"{plot.name.rpartition(', last')[0]}, last {close:.2g} s", seconds=close)
 
 
-def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None = None) -> list[Shown]:
+def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None) -> list[Shown]:
     """A column's plots from top to bottom; those for which there is no room share the last place, as tabs."""
     known = sum(not plot.by_unit for plot in found)
     room = max(ROWS, MOST_ROWS - known)
     views: list[Shown] = [_view(plot, run, whole) for plot in found]
     return views if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
+
+
+def _revolutions(run: RunInfo) -> list[Shown]:
+    """The last revolution: one view, or several as tabs."""
+    views = []
+    for k, (entity, lanes) in enumerate(scopes(run).items()):
+        name = f"Last electrical revolution, more {k}" if k else "Last electrical revolution"
+        views.append(_plane(name, entity, scope_picture.X_RANGE, scope_picture.y_range(len(lanes))))
+    return [*views] if len(views) < 2 else [rrb.Tabs(*views, active_tab=0)]
+
+
+def _samples(run: RunInfo, found: Mapping[str, Plot], coarse: bool, sector: float | None) -> rrb.Container | None:
+    """The third page of a recording: its last moments over time, sample by sample; None where there is nothing."""
+    views: list[rrb.View] = [_view(plot, run, None) for plot in found.values() if plot.entity == schema.FAST]
+    if run.hall:
+        seconds = HALL if sector is None else min(MOST_HALL, max(LEAST_HALL, SECTORS_SHOWN * sector))
+        name = f"Hall sensors and sector, last {seconds:.2g} s{', where there are samples' if coarse else ''}"
+        views.append(_lanes(name, schema.HALL_LANES, _span(seconds + HALL_QUERIED), _span(seconds)))
+    return rrb.Grid(*views, grid_columns=min(3, len(views)), name="Samples") if views else None
 
 
 def _returns(run: RunInfo, whole: tuple[int, int] | None) -> list[rrb.Container]:
@@ -128,9 +143,9 @@ def _returns(run: RunInfo, whole: tuple[int, int] | None) -> list[rrb.Container]
     return [rrb.Horizontal(*views)] if views else []
 
 
-def _column(rows: Sequence[Shown], lanes: Sequence[Shown]) -> rrb.Container | None:
-    """Plots, and below them timelines of states; None without either."""
-    shares = [3.0] * len(rows) + [2.7] * len(lanes)
+def _column(rows: Sequence[Shown], lanes: Sequence[Shown], share: float) -> rrb.Container | None:
+    """Views, and below them lanes or counts, of which each is `share` times as high as one of them; None without."""
+    shares = [1.0] * len(rows) + [share] * len(lanes)
     return rrb.Vertical(*rows, *lanes, row_shares=shares) if shares else None
 
 

@@ -26,11 +26,11 @@ from bench.signal.waveforms.harmonics import ORDER, PERIODS
 from bench.signal.waveforms.sectors import NUMERALS, edge_angle, edge_passages, hall_offset
 from bench.view import markdown, schema
 from bench.view.plane import FAINT, circle
+from bench.view.revolutions import too_fast
 from protocol.streams import EdgeChunk, SampleChunk
 
 SPAN = 1.0  # s
 KEPT = 5  # of them, for which edges are kept until samples come
-FOLLOWED = math.pi / 2  # electrical rad from sample to sample, above which an angle is not followed
 PERIOD = 1.0  # s of device time from one picture to the next
 BINS = 36  # of an electrical revolution
 MOST_ROWS = 800  # samples from which harmonics are found
@@ -158,7 +158,8 @@ class LastSecond:
             return
         theta = np.unwrap(values[self._angle].astype(np.float64)) if self._angle else None
         facts: list[tuple[str, str]] = []
-        blind = "" if theta is None else self._too_fast(theta, values)
+        seconds = (tick[-1] - tick[0]) / max(1, len(tick) - 1) / self._run.tick_hz
+        blind = "" if theta is None else too_fast(theta, values.get(self._speed), seconds)
         if blind:
             facts.append(("undefined: speed, edges, THD", blind))
         elif theta is not None:
@@ -185,19 +186,6 @@ class LastSecond:
         for entity in self._drawn.difference(drawn):
             yield entity, rr.Clear(recursive=False)
         self._drawn = set(drawn)
-
-    def _too_fast(self, theta: Values, values: Mapping[str, Values]) -> str:
-        """Why the angle cannot be followed from sample to sample; '' if it can."""
-        if len(theta) < 2:
-            return ""
-        step = float(np.abs(np.diff(theta)).max())
-        if self._speed in values:  # a step of nearly a whole revolution looks like a small one
-            tick = self._samples[-1][0]
-            seconds = (tick[-1] - tick[0]) / max(1, len(tick) - 1) / self._run.tick_hz
-            step = max(step, float(np.abs(values[self._speed]).mean()) * seconds)
-        if step <= FOLLOWED:
-            return ""
-        return f"the angle turns {math.degrees(step):.0f} deg from sample to sample: more samples a second are needed"
 
     def _mean_speed(self, tick: NDArray[np.int64], theta: Values) -> list[tuple[str, str]]:
         seconds = (tick[-1] - tick[0]) / self._run.tick_hz

@@ -8,7 +8,6 @@ because a viewer lags by messages, not by samples.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,7 +31,8 @@ from bench.view.hall_lanes import HallLanes
 from bench.view.hall_returns import HallReturns
 from bench.view.last_second import LastSecond
 from bench.view.plane import Picture, Plane
-from bench.view.plots import LEGEND_SHARE, TREND, Line, Plot, left_out, plots, returns, trend_lines
+from bench.view.plots import LEGEND_SHARE, TREND, Plot, left_out, plots, returns, trend_lines
+from bench.view.scope import Pictures, Scope
 from bench.view.trend import Rows, TrendBinner
 from protocol.host import DeviceEventReceived, HeartbeatReceived
 from protocol.messages import DeviceEvent, DriveState, EventCode, Heartbeat
@@ -49,14 +49,21 @@ ROOM_PERIOD = 0.5  # s, at least, between two rows that give the long plots of a
 
 _SHOWN_STATUS = np.uint8(0xFF & ~int(Status.OBSERVERS_RESET))  # ~ of the flag itself would keep known flags only
 Values = NDArray[Any]
-_STATE, _ARROWS, _LABELS = "StateChange:state", "Arrows2D:vectors", "Points2D:labels"
+_STATE, _ARROWS = "StateChange:state", "Arrows2D:vectors"
 _METADATA = {  # of columns that are no numbers of ours
     component: {
         "rerun:archetype": f"rerun.archetypes.{component.partition(':')[0]}",
         "rerun:component": component,
         "rerun:component_type": f"rerun.components.{kind}",
     }
-    for component, kind in ((_STATE, "Text"), (_ARROWS, "Vector2D"), (_LABELS, "Text"))
+    for component, kind in (
+        (_STATE, "Text"),
+        (_ARROWS, "Vector2D"),
+        (schema.TEXTS, "Text"),
+        (schema.PLACES, "Position2D"),
+        (schema.STRIPS, "LineStrip2D"),
+        (schema.STRIP_COLOURS, "Color"),
+    )
 }
 _ARROW = pa.list_(pa.field("item", pa.float32(), nullable=False), 2)
 
@@ -64,13 +71,11 @@ _ARROW = pa.list_(pa.field("item", pa.float32(), nullable=False), 2)
 class RunLog:
     """Logs one run to `stream`. Rows, but those of states and texts, go out every `lot` s or more.
 
-    `live`: the long plots follow the newest sample, and their guides leave room for legends before the first. Of each
-    block only the samples of its last `newest` s are logged one by one, for a viewer that does not show the others.
+    `live`: the long plots follow the newest sample, and their guides leave room for legends before the first. Samples
+    and edges themselves are left to the recording.
     """
 
-    def __init__(
-        self, stream: rr.RecordingStream, run: RunInfo, lot: float = 0.0, live: bool = False, newest: float = math.inf
-    ) -> None:
+    def __init__(self, stream: rr.RecordingStream, run: RunInfo, lot: float = 0.0, live: bool = False) -> None:
         self.run = run
         self._stream = stream
         self._now_ns = 0  # newest device time seen
@@ -96,10 +101,10 @@ class RunLog:
         self._rooms = [plot for plot in shown if plot.entity == schema.TREND]
         self._live = live
         self._guided_ns = 0
-        self._newest_ns = newest * 1e9
         self.extents = None if live else Extents()
         self._first_ns: int | None = None  # of the run, or since the drive has rebooted
         self._last_second = LastSecond(run)
+        self._scope = Scope(run)
         self._plane = Plane(run)
         self._pictures: list[tuple[int, Picture]] = []
         self._lot_ns, self._next_lot_ns = round(lot * 1e9), 0
@@ -112,7 +117,7 @@ class RunLog:
         log = self._stream.log
         for entity, colours in states.state_colours(self.run).items():
             log(entity, states.configuration(colours), static=True)
-        for entity, parts in (*self._plane.frame(), *self._last_second.frame()):
+        for entity, parts in (*self._plane.frame(), *self._last_second.frame(), *self._scope.frame()):
             log(entity, parts, static=True)
 
     def summary(self, markdown: str) -> None:
@@ -133,6 +138,7 @@ class RunLog:
             self._edges(stream, join(edges))
         for stream, samples in self._by_stream(block.of(SampleChunk)):
             self._samples(stream, join(samples))
+        self._send_close_ups(self._scope.pictures())
         if self._now_ns >= self._next_lot_ns:
             self._next_lot_ns = self._now_ns + self._lot_ns
             self._send_lot()
@@ -159,19 +165,20 @@ class RunLog:
         columns = [_Column(channel) for channel in self.run.channels if f"{channel.name}.min" in table.column_names]
         values = {c.name: c.physical({c.name: _band(table, c.name)}) for c in columns}
         errors = {
-            name: _band(table, f"{ERROR}{name}")
+            schema.error_component(name): _band(table, f"{ERROR}{name}")
             for name in self.run.position_estimates
             if f"{ERROR}{name}.min" in table.column_names
         }
         shown = {column.component: pa.array(values[column.name]) for column in columns}
-        shown |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
+        shown |= {component: pa.array(error) for component, error in errors.items()}
+        values |= errors
         self._send(schema.FAST, t_ns, shown)
         if "u_dc" in values:
             values[schema.U_LIMIT] = _limit(values["u_dc"])
         trends: dict[str, NDArray[np.float32]] = {}
         for line in self._trend_lines:
             try:
-                value = _of(line, values, errors)
+                value = line.of(values)
             except KeyError:  # it has no minima and maxima of its own
                 continue
             if line.mean:  # what is known of it is its least and its most: in between lies the mean of both
@@ -225,6 +232,7 @@ class RunLog:
             self._hall.restart()
             self._returns.restart()
             self._last_second.restart()
+            self._scope.restart()
             self._first_ns = None
         self._now_ns = max(self._now_ns, t_ns)
 
@@ -232,23 +240,26 @@ class RunLog:
         t_ns = ns_from_tick(chunk.tick, self.run.tick_hz)
         self._reach(int(t_ns[-1]))
         values = {column.name: column.physical(chunk.raw) for column in stream.columns}
-        columns = {column.component: pa.array(values[column.name]) for column in stream.columns}
+        shown = stream.columns if not self._live or stream.entity != schema.FAST else ()
+        columns = {column.component: pa.array(values[column.name]) for column in shown}
         if stream.entity != schema.FAST:
             self._send(stream.entity, t_ns, columns)
             return
         errors = self._errors(values)
-        columns |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
         values |= _derived(values)
-        columns |= {schema.derived_component(name): pa.array(values[name]) for name in _DERIVED if name in values}
-        shown = int(np.searchsorted(t_ns, t_ns[-1] - self._newest_ns))
-        self._send(stream.entity, t_ns[shown:], {name: column[shown:] for name, column in columns.items()})
+        if not self._live:
+            columns |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
+            columns |= {schema.derived_component(name): pa.array(values[name]) for name in _DERIVED if name in values}
+            self._send(stream.entity, t_ns, columns)
+            self._send_guide(int(t_ns[0]), int(t_ns[-1]))
+            self._hall.samples(t_ns, chunk.raw)
         self._last_second.samples(chunk, values, errors)
         self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)
-        self._send_guide(int(t_ns[0]), int(t_ns[-1]))
-        self._hall.samples(t_ns, chunk.raw)
         self._send_returns(chunk)
-        self._add_trend(t_ns, values, errors)
+        quantities = values | {schema.error_component(name): error for name, error in errors.items()}
+        self._scope.samples(chunk, quantities)
+        self._add_trend(t_ns, quantities)
         if t_ns[-1] >= self._next_plane_ns:
             self._next_plane_ns = int(t_ns[-1] + PLANE_PERIOD * 1e9)
             newest = {name: float(value[-1]) for name, value in values.items()}
@@ -257,12 +268,14 @@ class RunLog:
                 self._pictures.append((int(t_ns[-1]), picture))
 
     def _edges(self, stream: _Stream, chunk: EdgeChunk) -> None:
-        columns = {f"edge:{name}": pa.array(getattr(chunk, name)) for name in EDGE_FIELDS}
         t_ns = ns_from_tick(chunk.tick, self.run.tick_hz)
         self._reach(int(t_ns[-1]))
-        self._send(stream.entity, t_ns, columns)
+        if not self._live:
+            self._send(stream.entity, t_ns, {f"edge:{name}": pa.array(getattr(chunk, name)) for name in EDGE_FIELDS})
         if stream.entity == schema.HALL:
-            self._hall.edges(t_ns, chunk.hall_new)
+            if not self._live:
+                self._hall.edges(t_ns, chunk.hall_new)
+            self._scope.edges(chunk)
             self._returns.edges(chunk)
             self._last_second.edges(chunk)
 
@@ -281,16 +294,10 @@ class RunLog:
         self._send_lot()
 
     def _send_lot(self) -> None:
-        """Log what was held since the last time.
-
-        The Hall codes go first: a viewer that draws between two messages follows the newest one, and a window of 25 ms
-        would be all beyond the newest code.
-        """
-        held, self._held = self._held, {}
+        """Log what was held since the last time."""
         t_ns, codes = self._hall.take()
         if len(t_ns):
             self._send(schema.HALL_LANES, t_ns, {_STATE: states.HALL_WORDS.take(pa.array(codes))})
-        self._held |= held
         self._send_pictures()
         for (entity, *_), batches in self._held.items():
             for batch in pa.Table.from_batches(batches).combine_chunks().to_batches() if len(batches) > 1 else batches:
@@ -304,6 +311,16 @@ class RunLog:
             for entity, part in self._last_second.pictures():
                 self._stream.log(entity, part)
 
+    def left_out(self) -> None:
+        """Say in the close-ups that samples are left out from here on."""
+        self._send_close_ups(self._scope.left_out())
+
+    def _send_close_ups(self, found: tuple[int, Pictures] | None) -> None:
+        tick, pictures = found or (0, {})
+        t_ns = np.array([ns_from_tick(tick, self.run.tick_hz)])
+        for entity, picture in pictures.items():
+            self._send(entity, t_ns, picture.columns())
+
     def _send_pictures(self) -> None:
         """Log the pictures of the stator plane since the last time."""
         pictures, self._pictures = self._pictures, []
@@ -311,7 +328,7 @@ class RunLog:
             t_ns = np.array([at for at, _ in pictures])
             arrows, labels = zip(*(picture for _, picture in pictures), strict=True)
             self._send(schema.VECTORS, t_ns, {_ARROWS: pa.array(arrows, pa.list_(_ARROW))})
-            self._send(schema.LEGEND, t_ns, {_LABELS: pa.array(labels, pa.list_(pa.string()))})
+            self._send(schema.LEGEND, t_ns, {schema.TEXTS: pa.array(labels, pa.list_(pa.string()))})
 
     def _by_stream(self, chunks: Sequence[Chunk]) -> list[tuple[_Stream, list[Chunk]]]:
         groups: dict[str, tuple[_Stream, list[Chunk]]] = {}
@@ -353,9 +370,9 @@ class RunLog:
             for name in self.run.position_estimates
         }
 
-    def _add_trend(self, t_ns: NDArray[np.int64], values: Mapping[str, Values], errors: Mapping[str, Values]) -> None:
+    def _add_trend(self, t_ns: NDArray[np.int64], values: Mapping[str, Values]) -> None:
         if self._trend_lines:
-            found = [_of(line, values, errors) for line in self._trend_lines]
+            found = [line.of(values) for line in self._trend_lines]
             self._send_trend(self._trend.add(t_ns, np.stack(found).astype(np.float32, copy=False)))
 
     def _send_trend(self, rows: Rows | None) -> None:
@@ -512,11 +529,6 @@ def _derived(values: Mapping[str, Values]) -> dict[str, Values]:
     if all(name in values for name in schema.VOLTAGE_VECTOR):
         found[schema.U_ABS] = np.hypot(*(values[name] for name in schema.VOLTAGE_VECTOR))
     return found
-
-
-def _of(line: Line, values: Mapping[str, Values], errors: Mapping[str, Values]) -> Values:
-    """What a line shows, (n,). Raises KeyError without it."""
-    return errors[line.channel] if line.error else values[line.derived or line.channel] * np.float32(line.factor)
 
 
 def _least(plot: Plot, newest: Mapping[str, float]) -> list[float]:

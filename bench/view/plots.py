@@ -6,9 +6,12 @@ that the vocabulary knows, by name or by flag, have their plots; all others are 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bench.record.info import AnyChannel, RunInfo
 from bench.signal.colours import RGB, SPARES, TABLE
@@ -56,6 +59,16 @@ class Line:
     derived: str = ""
     unseen: bool = False
     points: bool = False
+
+    @property
+    def quantity(self) -> str:
+        """What it shows, among values by channel, by derived quantity, and by component of position errors."""
+        return self.component if self.error else self.derived or self.channel
+
+    def of(self, values: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+        """What it shows, (n,), of values (n,) by quantity. Raises KeyError without it."""
+        value = values[self.quantity]
+        return value if self.factor == 1.0 else value * np.float32(self.factor)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,9 @@ VECTORS = "stator/vectors"
 LEGEND = f"{VECTORS}/legend"
 RUN_TEXT = "run"  # who is tested and what was lost so far, once a second; at the end the summary
 
+# close-ups of the last electrical revolution
+SCOPE = "scope"
+
 # of the last second
 BY_ANGLE = "by_angle"  # mean position errors over the electrical angle, by estimate
 HARMONICS = "harmonics"  # of the phase currents, by phase
@@ -46,7 +49,13 @@ LATE = "late"  # by how much each Hall edge is, by direction
 DQ = "dq"  # i_d and i_q as a vector
 NUMBERS = "numbers"  # the same and more, to read
 
-# components
+# components: rerun's own, of pictures, and ours
+STRIPS, STRIP_COLOURS, PLACES, TEXTS = (
+    "LineStrips2D:strips",
+    "LineStrips2D:colors",
+    "Points2D:positions",
+    "Points2D:labels",
+)
 LOSS_FIELDS = ("lost:samples", "lost:sample_frames", "lost:edges", "lost:by_device", "lost:live_blocks")
 
 PHASES, DQ_CURRENTS, DQ_REFERENCES = ("i_a", "i_b", "i_c"), ("i_d", "i_q"), ("i_d_ref", "i_q_ref")

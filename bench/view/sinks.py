@@ -8,7 +8,6 @@ never recorded samples.
 from __future__ import annotations
 
 import ctypes
-import math
 import os
 import queue
 import threading
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 
 BLOCK_PERIOD = 0.055  # s of signal a message to a live view
 READY_TIMEOUT = 10.0  # s for rerun to be imported
-HELD = 0.25  # s of samples of each such message: what is in sight, and not what a browser would choke on
 HOLD_PERIOD = 3.0  # s of signal a message of a live view that holds still in between
 TOUCH_PERIOD = 0.4  # s between touches of one that does
 LIVE_QUEUE, HOLD_QUEUE = 20, 3  # blocks
@@ -47,8 +45,8 @@ class LiveSink:
     """Serves a run to viewers on this machine, at `url`, from a gRPC server in this process on `port`.
 
     Viewers may come, stall and go at any time; `dropped_blocks` and `dropped_samples` tell what they did not get. With
-    `hold` the view is updated every three seconds, all at once, and stands still in between; of the samples it is given
-    those of the last quarter of a second, which are in sight: a browser without a GPU draws a frame or two a second.
+    `hold` the view is updated every three seconds, all at once, and stands still in between: a browser without a GPU
+    draws a frame or two a second.
 
     `latency` holds, for every sample, the time in s until it was handed to rerun: since the drive took the oldest
     sample of its chunk if `host_time` (device tick to host time, as `now` counts it) is set, else since it came here.
@@ -58,9 +56,7 @@ class LiveSink:
 
     host_time: Callable[[float], float | None] | None = None
 
-    def __init__(
-        self, run: RunInfo, port: int, *, hold: bool = False, now: Now = time.monotonic, sector: float | None = None
-    ) -> None:
+    def __init__(self, run: RunInfo, port: int, *, hold: bool = False, now: Now = time.monotonic) -> None:
         self.run = run
         self.latency = Percentiles()
         self.logged_samples = 0
@@ -74,7 +70,7 @@ class LiveSink:
         self._queue: queue.SimpleQueue[_Item] = queue.SimpleQueue()
         self._closing = False
         self._hold = hold
-        self._stream, self.url = _serve(run, port, sector)
+        self._stream, self.url = _serve(run, port)
         self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
         self._thread.start()
         with suppress(queue.Empty):  # it imports what it needs, because streaming data would not wait
@@ -135,7 +131,7 @@ class LiveSink:
         from bench.view.log import RunLog
 
         try:
-            log = RunLog(self._stream, self.run, live=True, newest=HELD if self._hold else math.inf)
+            log = RunLog(self._stream, self.run, live=True)
             log.start()
             self._ready.put(None)
             while True:
@@ -178,7 +174,7 @@ def abandon(stream: rr.RecordingStream) -> None:
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(stream))
 
 
-def _serve(run: RunInfo, port: int, sector: float | None) -> tuple[rr.RecordingStream, str]:
+def _serve(run: RunInfo, port: int) -> tuple[rr.RecordingStream, str]:
     import rerun as rr
 
     from bench.view import dashboard
@@ -186,5 +182,5 @@ def _serve(run: RunInfo, port: int, sector: float | None) -> tuple[rr.RecordingS
     stream = new_stream(run)
     server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=port, server_memory_limit="128MiB")
     stream.set_sinks(server)
-    stream.send_blueprint(dashboard.blueprint(run, sector=sector))
+    stream.send_blueprint(dashboard.blueprint(run))
     return stream, server.uri

@@ -178,26 +178,18 @@ def chosen(viewer: str) -> str:
 class LiveView:
     """A live sink with its viewer. `url` is what to open in a browser, or what a native viewer connects to.
 
-    `kind` is `native` or `web`; a web view holds still between its steps. `sector`: how long a Hall sector will last,
-    s, where that is known. Raises ViewerError when a port is taken or the viewer does not start.
+    `kind` is `native` or `web`; a web view holds still between its steps. Raises ViewerError when a port is taken or
+    the viewer does not start.
     """
 
-    def __init__(
-        self,
-        run: RunInfo,
-        kind: str,
-        *,
-        grpc_port: int | None = None,
-        web_port: int | None = None,
-        sector: float | None = None,
-    ) -> None:
+    def __init__(self, run: RunInfo, kind: str, *, grpc_port: int | None = None, web_port: int | None = None) -> None:
         if kind not in ("native", "web"):
             raise ViewerError(f"viewer {kind!r}: choose native, web or none")
         port = free_port(GRPC_PORT, grpc_port)
         web = free_port(WEB_PORT, web_port, "the web viewer") if kind == "web" else 0
         binary()
         self.kind = kind
-        self.sink = LiveSink(run, port, hold=kind == "web", sector=sector)
+        self.sink = LiveSink(run, port, hold=kind == "web")
         if kind == "web":
             arguments = ["--serve-web", "--bind", HOST, "--web-viewer-port", str(web), self.sink.url]
             self.url = f"http://{HOST}:{web}/?url={quote(self.sink.url, safe='')}&theme=dark"

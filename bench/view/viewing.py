@@ -190,6 +190,8 @@ def _from_afar(run: Run, log: RunLog, first: int, last: int, near: Sequence[Span
             if a <= end and b >= begin:
                 for chunks in _windows(run, segment, max(a, begin), min(b, end)):
                     log.block(Block([*chunks]))
+                if b < end:
+                    log.left_out()
         log.block(said.block(account, end))
     rest = said.block(account, END)
     if run.lost is None:

@@ -16,7 +16,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,9 @@ from platformdirs import user_cache_path
 
 from protocol.descriptor import sample_dtype
 from protocol.device.app import DeviceApp, Identity
+from protocol.device.records import LateSamples, Samples, made, rows_of
 from protocol.errors import Refused
-from protocol.messages import DriveState, Fault, SetpointMode
+from protocol.messages import DriveState, Fault, Feature, SetpointMode
 
 SOURCE = Path(__file__).parents[1] / "c"
 FILES = ("hbp.c", "hbp_can.c", "host/shim.c")
@@ -38,6 +39,8 @@ OPTIONS = """
     HBP_CRC_TABLE=256 HBP_CAN_BYTES=64 HBP_CAN_MESSAGES=1024 HBP_CAN_TRANSFERS=34
 """
 MIN_POOL = 1 << 12  # bytes
+FEATURES = Feature.EDGES | Feature.COMMIT | Feature.SIMULATED
+"""What the device side in C has: no other is told."""
 
 
 class NoCompiler(Exception):
@@ -143,7 +146,7 @@ class CompiledSession:
     nodes = 1
 
     def __init__(self, lib: ctypes.CDLL, app: DeviceApp, identity: Identity) -> None:
-        self.app, self.identity = app, identity
+        self.app, self.identity = app, replace(identity, features=identity.features & FEATURES)
         self.raised: BaseException | None = None
         self._lib = lib
         self._dtype = sample_dtype(app.channels)
@@ -193,12 +196,12 @@ class CompiledSession:
         """What is left, 0xFFFF when the watchdog is not at work; `tick` must be that of the last look at the time."""
         return int(self._lib.shim_watchdog_ms(self.at))
 
-    def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
+    def push_samples(self, index0: int, tick0: int, samples: Samples) -> None:
         """See `DeviceSession.push_samples`; C makes the ticks itself."""
-        if raw.dtype != self._dtype:
-            raise TypeError(f"samples of {raw.dtype}, the channels make {self._dtype}")
-        rows = np.ascontiguousarray(raw)
-        self._lib.shim_ticks(self.at, index0, rows.ctypes.data, rows.itemsize, len(rows))
+        if isinstance(samples, LateSamples) and not self.running:
+            return
+        rows = rows_of(made(samples, self.channels), self._dtype)
+        self._lib.shim_ticks(self.at, index0, rows.ctypes.data, self._dtype.itemsize, len(rows))
 
     def push_edges(self, records: NDArray[np.void]) -> None:
         """See `DeviceSession.push_edges`."""

@@ -20,7 +20,7 @@ from bench.device.dbc import ENCODING, NodeStream, configured_streams, dbc_text
 from bench.device.node import Node
 from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.descriptor import Channel
-from protocol.messages import StreamEvent
+from protocol.messages import Empty, StreamEvent, StreamReply, StreamSet, StreamStart
 from protocol.signals import Flag, RawType, Unit
 from protocol.streams import StreamConfig
 from sim.config.params import load_params
@@ -246,6 +246,30 @@ def test_reading_disturbs_no_stream(capsysbinary: pytest.CaptureFixture[bytes]) 
     assert before + 1000 < during < len(after) - 700
     assert (np.diff(after) % 65536 == 1).all()
     assert bench.drive.active_streams() == [s.config for s in configured_streams(Client(watched.link), (1, 2))]
+
+
+def test_a_stream_of_means_is_described_as_floats(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+    """What cantools makes of its frames is what the host's own decoder does."""
+    watched = Watched(CLASSIC)
+    bench = watched.bench()
+    bench.turn(50.0)
+    channels = [bench.drive.descriptor.channel(name) for name in ("theta_enc", "i_q")]
+    request = StreamSet(2, StreamEvent.MEAN, 160, 20, tuple(channel.id for channel in channels))
+    bench.client.request(request, 1, StreamReply)
+    (config,) = (each for each in bench.drive.active_streams() if each.stream == 2)
+    assert [channel.raw for channel in config.channels] == [RawType.F32, RawType.F32]
+    bench.client.request(StreamStart(1 << 2), 1, Empty)
+    bench.client.run_for(0.3)
+    database = watched.dbc(capsysbinary, "can:virtual/x")
+    messages = [m for m in database.messages if "mean" in (m.comment or "")]
+    assert [signal.is_float for m in messages for signal in m.signals] == [False, True, False, True]
+    records = np.frombuffer(b"".join(watched.frames), CAN_RECORD)
+    for message, channel in zip(messages, channels, strict=True):
+        frames = records["data"][records["id"] == message.frame_id][:, :6].tobytes()
+        assert len(frames) >= 6 * 25
+        told = database.decode_message(message.frame_id, frames[-6:])[channel.name]
+        assert told == pytest.approx(struct.unpack("<f", frames[-4:])[0] * channel.scale)
+        assert abs(told) < 4.0
 
 
 def test_streams_of_every_node_that_is_there(capsysbinary: pytest.CaptureFixture[bytes]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from types import MappingProxyType
 
 import numpy as np
 
@@ -43,8 +44,10 @@ class SmallDrive:
 
     channels = CHANNELS
     parameters = PARAMETERS
+    meanings = MappingProxyType({"theta": "angle, ±π", "gain": "of everything"})
 
     def __init__(self) -> None:
+        self.waveform = np.zeros(256, np.int16)
         self.outputs_on = False
         self.values = {name: float(np.float32(value)) for name, value in DEFAULTS.items()}
         self.states: list[DriveState] = []
@@ -81,8 +84,18 @@ class SmallDrive:
         self.commits += 1
 
 
+FEATURES = Feature((1 << 8) - 1)
+"""Of all versions."""
+
+
 def identity(node: int = 1, boot_id: int = 0xB0071D, **changes: object) -> Identity:
-    values = {"role": Role.DRIVE, "name": "small", "firmware": "1.0", "features": Feature.EDGES} | changes
+    values = {
+        "role": Role.DRIVE,
+        "name": "small",
+        "firmware": "1.0",
+        "features": Feature.EDGES,
+        "capture_bytes": 4096,
+    } | changes
     return Identity(node=node, boot_id=boot_id, **values)
 
 

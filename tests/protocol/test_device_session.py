@@ -14,16 +14,24 @@ from protocol.errors import Refused
 from protocol.framing import Frame
 from protocol.messages import (
     REPLIES,
+    BlobRead,
+    BlobReply,
+    BlobWrite,
     Command,
+    DeviceEvent,
     DriveState,
+    Empty,
     ErrorCode,
     ErrorReply,
+    EventCode,
     Fault,
+    Feature,
     Heartbeat,
     Hello,
     MessageType,
     ParamCommit,
     ParamGet,
+    ParamSet,
     Payload,
     Request,
     Setpoint,
@@ -34,7 +42,7 @@ from protocol.messages import (
     StreamInfo,
     StreamSet,
 )
-from protocol.signals import Flag, RawType, Signal, Unit
+from protocol.signals import Flag, Parameter, RawType, Signal, Unit
 
 HZ = 20_000_000
 BOOT_ID = 0xB0071D
@@ -168,3 +176,100 @@ def test_a_link_that_nobody_reads_keeps_its_replies_bounded(wire: Wire) -> None:
     for tid in range(1, 2000):
         wire.link.receive(wire_of(ParamGet(101), tid))
     assert len(wire.session.tx) <= wire.session.tx.control_limit + 100
+
+
+# -- what HBP 1.1 adds ------------------------------------------------------------------------------------------------
+
+
+class Commissioned(SmallDrive):
+    """A drive with a parameter that no end of RUNNING outlasts, and a test signal."""
+
+    parameters = (
+        *SmallDrive.parameters,
+        Parameter(160, "forced_speed", Unit.RAD_PER_S, -100, 100, Flag.PARAMETER | Flag.VOLATILE, ""),
+        Parameter(164, "test", Unit.NONE, 0, 5, Flag.PARAMETER | Flag.WHOLE | Flag.VOLATILE, ""),
+    )
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.values |= {"forced_speed": 0.0, "test": 0.0}
+
+    def default_param(self, name: str) -> float:
+        return 0.0 if name in ("forced_speed", "test") else super().default_param(name)
+
+
+def commissioned(**changes: object) -> Wire:
+    link = DeviceLink()
+    link.add(Commissioned(), identity(**changes))
+    link.advance(0)
+    return Wire(link)
+
+
+def changes_in(frames: list[Frame]) -> list[tuple[float, float]]:
+    events = [DeviceEvent.unpack(frame.payload) for frame in frames if frame.type == MessageType.EVENT]
+    return [(event.arg, event.detail) for event in events if event.code == EventCode.PARAM_CHANGED]
+
+
+@pytest.mark.parametrize("end", ["stop", "fault", "watchdog"])
+def test_volatile_parameters_are_at_their_default_once_running_has_ended(end: str) -> None:
+    wire = commissioned()
+    for request in (ParamSet(160, 50.0), ParamSet(101, 7.5)):
+        wire.ask(request)
+    for command, argument in ((Command.ARM, BOOT_ID), (Command.START, 0)):
+        wire.ask(StateCommand(command, argument))
+    wire.ask(ParamSet(164, 2.0))
+    assert wire.app.values["forced_speed"] == 50.0  # set before START, still there
+    wire.frames()
+    if end == "stop":
+        wire.link.receive(wire_of(StateCommand(Command.STOP, 0), 99))
+    elif end == "fault":
+        wire.session.fault(Fault.OVERCURRENT)
+    else:
+        wire.link.advance(HZ // 4)
+    assert not wire.app.outputs_on
+    assert changes_in(wire.frames()) == [(160, 0.0), (164, 0.0)]
+    assert (wire.app.values["forced_speed"], wire.app.values["test"], wire.app.values["gain"]) == (0.0, 0.0, 7.5)
+
+
+def test_a_change_of_a_parameter_is_told_once_and_no_other() -> None:
+    wire = commissioned()
+    told = []
+    for request in (ParamSet(101, 7.5), ParamSet(101, 7.5), ParamSet(101, -1.0), ParamSet(102, 3.0), ParamSet(9, 1.0)):
+        wire.link.receive(wire_of(request, next(wire.tids)))
+        told.append(changes_in(wire.frames()))
+    assert told == [[(101, 7.5)], [], [], [(102, 3.0)], []]
+
+
+def test_the_waveform_is_the_apps_memory_and_is_left_alone_while_a_test_signal_is_on() -> None:
+    wire = commissioned(features=Feature.WAVEFORM)
+    assert isinstance(wire.ask(BlobWrite(4, 4, 2, b"\x01\x02\xff\x7f")), Empty)
+    assert wire.app.waveform[:4].tolist() == [0, 0x0201, 32767, 0]
+    wire.app.waveform[255] = -2
+    assert wire.ask(BlobRead(4, 100, 510)) == BlobReply(4, 2, 510, 512, b"\xfe\xff")
+    wire.ask(ParamSet(164, 1.0))
+    assert wire.ask(BlobWrite(4, 2, 0, b"\x05\x05")) == ErrorReply(ErrorCode.BUSY, MessageType.BLOB_WRITE, 4.0)
+    assert wire.app.waveform[0] == 0
+    wire.ask(ParamSet(164, 0.0))
+    assert isinstance(wire.ask(BlobWrite(4, 2, 0, b"\x05\x05")), Empty)
+
+
+def test_meanings_are_lines_and_features_are_those_that_there_is_something_for() -> None:
+    wire = commissioned(features=Feature((1 << 8) - 1), capture_bytes=0)
+    assert wire.ask(Hello(1)).features == Feature((1 << 8) - 1) & ~Feature.CAPTURE
+    blob = wire.ask(BlobRead(3, 1000, 0)).data
+    assert blob == "theta angle, ±π\ngain of everything\n".encode()
+
+
+@pytest.mark.parametrize(
+    ("meanings", "words"),
+    [
+        ({"nothing": "x"}, "'nothing', which is neither channel nor parameter"),
+        ({"gain": "two\nlines"}, "'gain' has control characters, or more than 200 bytes"),
+        ({"gain": "ü" * 101}, "'gain' has control characters, or more than 200 bytes"),
+    ],
+)
+def test_a_meaning_that_cannot_be_is_a_bug_of_the_app(meanings: dict[str, str], words: str) -> None:
+    app = SmallDrive()
+    app.meanings = meanings  # type: ignore[assignment]
+    with pytest.raises(ValueError, match=words):
+        DeviceLink().add(app, identity(features=Feature.MEANINGS))

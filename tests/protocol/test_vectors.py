@@ -9,13 +9,14 @@ import inspect
 import json
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import can_rows
 import hbp_reference as reference
 import numpy as np
 import pytest
-from small_drive import frames_in, small_link, small_link_alone, small_link_in_c
+from small_drive import FEATURES, edges_at, frames_in, small_link, small_link_alone, small_link_in_c, wire_of
 from test_spec import KINDS
 from test_streams import decode_all, joined
 
@@ -26,10 +27,12 @@ from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.canmap.host import CanWire
 from protocol.canmap.ids import CanClass, CanId
 from protocol.canmap.transport import TransferEncoder
+from protocol.descriptor import sample_dtype
+from protocol.device import compiled
 from protocol.framing import Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import Fault, Feature, StreamEvent
 from protocol.signals import SECTOR_OF_CODE, Flag, RawType, Signal, Unit, hall_map
-from protocol.streams import EdgeDecoder, SampleDecoder, StreamConfig, TickReference
+from protocol.streams import EDGE_RECORD, EdgeDecoder, SampleDecoder, StreamConfig, TickReference
 from tests.devices import FULL
 from tests.devices.device import Device
 from tests.devices.spec import HALL_CODES
@@ -82,6 +85,10 @@ def batches(request: pytest.FixtureRequest) -> Callable[[Sequence], list]:
 def make(request: pytest.FixtureRequest) -> Callable[..., tuple]:
     """A link with a small drive, behind each device side."""
     return request.param
+
+
+HAS = {small_link: FEATURES, small_link_in_c: compiled.FEATURES, small_link_alone: FULL.features}
+"""Features that each device side has at most."""
 
 
 def check_counts(counters: object, expected: dict[str, int], names: str) -> None:
@@ -158,6 +165,8 @@ def test_refusals(case: dict, fault: bool, make: Callable[..., tuple]) -> None:
 
 @each("sequences")
 def test_sequences(case: dict, make: Callable[..., tuple]) -> None:
+    if Feature(case["features"]) & ~HAS[make]:
+        return
     link, _, app = make(features=Feature(case["features"]))
     link.data_to_send()
     for step in case["steps"]:
@@ -176,6 +185,43 @@ def test_sequences(case: dict, make: Callable[..., tuple]) -> None:
     assert not app.outputs_on
 
 
+@pytest.mark.parametrize("make", [small_link])
+@each("captures")
+def test_captures(case: dict, batches: Callable[[Sequence], list], make: Callable[..., tuple]) -> None:
+    link, session, app = make(features=Feature.EDGES | Feature.CAPTURE)
+    session.push_edges(edges_at([0] * case["edges_before"]))
+    arm = messages.CaptureArm.unpack(bytes.fromhex(case["arm_hex"]))
+    assert arm.pack().hex() == case["arm_hex"]
+    link.receive(wire_of(arm, 1))
+    edges = np.frombuffer(bytes.fromhex("".join(case["edges_hex"])), EDGE_RECORD)
+    raw = np.frombuffer(bytes.fromhex("".join(case["samples_hex"])), sample_dtype(app.channels))
+    moments = [at for at in (case["fault_after"], case["arm_after"]) if at is not None]
+    first, sent = case["begin"], 0
+    for part in [each for cut in np.split(raw, [at + 1 - first for at in moments]) for each in batches(cut)]:
+        last = first + len(part) - 1
+        upto = int(np.searchsorted(edges["tick"], last * 1250, "right"))
+        session.push_edges(edges[sent:upto])
+        session.push_samples(first, first * 1250, part)
+        link.advance(last * 1250)
+        if last == case["fault_after"]:
+            session.fault(Fault.HALL)
+        if last == case["arm_after"]:
+            link.receive(wire_of(messages.StateCommand(messages.Command.ARM, 0xB0071D), 2))
+        first, sent = last + 1, upto
+    link.data_to_send()
+    for request, kind in (
+        (messages.CaptureStatus(), messages.CaptureReply), (messages.BlobRead(1, 1000, 0), messages.BlobReply)
+    ):  # fmt: skip
+        link.receive(wire_of(request, 3))
+        (frame,) = frames_in(link.data_to_send())
+        said = kind.unpack(frame.payload)
+        if kind is messages.CaptureReply:
+            assert said.state == messages.CaptureState.FROZEN
+            assert {name: int(getattr(said, name)) for name in case["reply"]} == case["reply"]
+        else:
+            assert said.data.hex() == case["blob_hex"]
+
+
 def stream_config(case: dict, event: StreamEvent, channels: tuple[Signal, ...], *slot: int) -> StreamConfig:
     c = case["config"]
     rates = {"tick_hz": 20_000_000, "pwm_hz": 16_000}
@@ -191,9 +237,11 @@ SAMPLE = (
 
 @each("streams")
 def test_streams(case: dict, batches: Callable[[Sequence], list]) -> None:
-    edges = case["kind"] == "edges"
+    edges, means = case["kind"] == "edges", case["kind"] == "means"
     channels = tuple(SAMPLE[number - 1] for number in case["config"]["ids"])
     config = stream_config(case, StreamEvent.EDGES if edges else StreamEvent.PWM, channels)
+    if means:
+        config = stream_config(case, StreamEvent.MEAN, tuple(replace(each, raw=RawType.F32) for each in channels))
     decoder = (EdgeDecoder if edges else SampleDecoder)(config, TickReference(case["reference_tick"]))
     deframer = Deframer()
     frames = [raw for wire in case["wire_hex"] for raw in deframer.feed(bytes.fromhex(wire))]
@@ -203,6 +251,8 @@ def test_streams(case: dict, batches: Callable[[Sequence], list]) -> None:
         sent = [[1, 3, 2], [3, 2, 7], [False, False, True], [100, 160, 220]]
         assert fields == [each[-len(case["index"]) :] for each in sent]
         assert {chunk.hall_new.dtype for chunk in chunks} == {np.dtype(np.uint8)}
+    elif means:
+        assert [list(row) for chunk in chunks for row in chunk.raw.tolist()] == case["values"]
     else:
         assert all((chunk.physical("half") == chunk.raw["count"] % 128 / 2).all() for chunk in chunks)
     assert (joined(chunks, "index"), joined(chunks, "tick")) == (case["index"], case["tick"])

@@ -14,6 +14,7 @@ from bench.record.reader import Run
 from bench.record.sink import RunSink
 from bench.view import schema
 from bench.view.plots import plots, returns
+from bench.view.scope import scopes
 from protocol.host import HeartbeatReceived
 from tests.tools import needs
 from tests.viewers import headless
@@ -23,7 +24,7 @@ pytestmark = pytest.mark.slow
 VIEWS = {
     "TimeSeries": len(plots(synthetic.run_info())) + 2,  # of the Hall sensors
     "StateTimeline": 2,
-    "2D": 2,
+    "2D": 2 + len(scopes(synthetic.run_info())),
     "BarChart": 3,
     "TextDocument": 2,
     "TextLog": 1,
@@ -113,7 +114,7 @@ def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ..
     kinds = [view.view_class for view in state.views]
     assert kinds.count("TimeSeries") == len(plots(run)) + len(returns(run))
     assert kinds.count("StateTimeline") == (2 if "hall" in names else 1)
-    assert kinds.count("2D") == any(name in ("i_a", "theta_enc") for name in names)
+    assert kinds.count("2D") == any(name in ("i_a", "theta_enc") for name in names) + len(scopes(run))
 
 
 def test_positions_are_compared_with_the_reference_and_wrapped(recording: Path, made: synthetic.SyntheticRun) -> None:

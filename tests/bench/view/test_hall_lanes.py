@@ -6,15 +6,11 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 import synthetic
 
 from bench.record.reader import Run
 from bench.view import schema
-from bench.view.blocks import BlockBuilder
-from bench.view.log import RunLog
-from bench.view.sinks import new_stream
 from tests.choice import sampled
 
 SENSORS = {code: [f"{code >> bit & 1}" for bit in range(3)] for code in range(8)}
@@ -90,25 +86,3 @@ def test_while_it_turns_the_rows_are_the_edges_to_the_tick(tmp_path: Path) -> No
         np.rint(found["t"][turning] * synthetic.TICK_HZ), made.edge_tick[made.edge_tick > 100.5 * synthetic.TICK_HZ]
     )
     assert len(Run(tmp_path / "a.run").edges) == len(made.edge_tick)
-
-
-def test_a_viewer_that_draws_between_two_messages_finds_the_present_code(tmp_path, monkeypatch) -> None:
-    made = synthetic.SyntheticRun(1.0, 1000.0)  # an edge every 1.7 ms, a window of 25 ms
-    builder = BlockBuilder(0.055, synthetic.TICK_HZ)
-    stream = new_stream(synthetic.run_info())
-    stream.save(tmp_path / "a.rrd")
-    newest = {schema.HALL_LANES: 0.0}
-    behind = []
-
-    def sent(batch: pa.RecordBatch, *, index: str, entity_path: str) -> None:
-        newest[entity_path] = batch.column(index)[-1].as_py().total_seconds()
-        behind.append(max(newest.values()) - newest[schema.HALL_LANES])
-
-    monkeypatch.setattr(stream, "send_record_batch", sent)
-    log = RunLog(stream, synthetic.run_info(), live=True)
-    for chunk in made.chunks():
-        builder.add(chunk, 0.0)
-        if (block := builder.close(0.0)) is not None:
-            log.block(block)
-    assert {schema.FAST, schema.HALL, schema.TREND, schema.GUIDE} <= newest.keys()
-    assert max(behind) < 0.005

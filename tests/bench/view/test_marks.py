@@ -15,6 +15,7 @@ from bench.record.reader import Run
 from bench.record.sink import RunSink
 from bench.view import schema
 from bench.view.plots import plots
+from bench.view.scope import scopes
 from tests.tools import needs
 from tests.viewers import headless
 
@@ -116,4 +117,4 @@ def test_the_dashboard_has_the_lane_where_there_are_marks(marked: Path) -> None:
         state = viewer.await_recording()
     assert [view.visible for view in state.views if view.name == VIEW] == [True]
     assert [(view.name, view.reports) for view in state.views if view.reports] == []
-    assert len(state.views) == len(plots(synthetic.run_info())) + 13
+    assert len(state.views) == len(plots(synthetic.run_info())) + len(scopes(synthetic.run_info())) + 13

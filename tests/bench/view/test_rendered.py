@@ -30,13 +30,15 @@ from tests.viewers import TIMEOUT, HeadlessViewer, headless
 
 pytestmark = [pytest.mark.long("rerun's viewer draws in software")]
 
+CLOSE_UP = "Last electrical revolution"
 SPEEDS = (0, 100, 1000, 3000)  # r/min
 SECONDS = {100: 3.0}
 BESIDE_LEGENDS = 0.38  # of a view's width, from where on it is looked at
 NEAR = 40  # by which each part of a colour may be off: lines are drawn with soft edges
 ENOUGH = 60  # pixels
 TEXT = (200, 200, 200)
-FIRST_PAGE = ("error_trend", "speed", "dq", "position", "error", "phases")  # plots that no tab hides
+FIRST_PAGE = ("error_trend", "speed", "dq")  # plots that no tab hides
+CLOSE_UPS = ("position", "error", "phases", "bus_wave")
 
 
 @pytest.fixture(scope="module", params=sampled("speed", SPEEDS, 1, campaign="viewer"))
@@ -101,7 +103,9 @@ def test_every_plot_of_the_first_page_shows_data(turning: tuple[int, Path], tmp_
             assert drawn.shows(plot.name, [line.colour for line in plot.lines], BESIDE_LEGENDS), plot.name
         assert drawn.shows("Drive", [GOOD if speed else QUIET])
         assert drawn.shows("Stator plane", [info.colours["theta_enc"]], 0.5)
-        assert drawn.shows("Hall sensors and sector", [(150, 150, 150)])
+        for plot in (plots(info)[key] for key in CLOSE_UPS):
+            assert drawn.shows(CLOSE_UP, [line.colour for line in plot.lines], BESIDE_LEGENDS), plot.name
+        assert drawn.shows(CLOSE_UP, [(150, 150, 150)], BESIDE_LEGENDS)
         assert drawn.shows("Losses; summary at the end", [TEXT])
         assert seen(drawn.picture("Drive"), BAD, 0.0) == 0
 
@@ -120,6 +124,16 @@ def test_the_second_page_shows_what_is_defined_and_nothing_else(turning: tuple[i
                 assert drawn.shows(SECOND_NAMES[view], [darker(colour)], 0.08), view
             else:
                 assert seen(drawn.picture(SECOND_NAMES[view]), darker(colour), 0.08) < ENOUGH / 2, view
+
+
+@needs("Vulkan driver")
+def test_the_third_page_shows_every_sample_of_the_last_moments(turning: tuple[int, Path], tmp_path: Path) -> None:
+    _, recording = turning
+    info = Run(recording).info
+    with page(recording, 2, tmp_path) as drawn:
+        for plot in (plots(info)[key] for key in CLOSE_UPS):
+            assert drawn.shows(plot.name, [line.colour for line in plot.lines], BESIDE_LEGENDS), plot.name
+        assert drawn.shows("Hall sensors and sector", [(150, 150, 150)])
 
 
 def darker(colour: RGB) -> RGB:

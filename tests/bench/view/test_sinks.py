@@ -16,6 +16,7 @@ from bench.record import sink, writer
 from bench.record.reader import Run
 from bench.record.sink import RunSink
 from bench.view import schema, sinks
+from bench.view.blocks import BlockBuilder
 from bench.view.log import RunLog
 from bench.view.sinks import LiveSink
 from tests.choice import sampled
@@ -124,8 +125,8 @@ def test_a_view_that_holds_still_is_drawn_again_where_it_stands(tmp_path, made: 
     assert touched.wait(10)
     assert live.close()
     assert live.error is None
-    shown = synthetic.column(tmp_path / "live.rrd", schema.FAST, schema.value_component("i_a"))
-    assert synthetic.column(tmp_path / "live.rrd", schema.TOUCH, "touch")[-1][0] == shown[-1][0]
+    last = int(made.tick[-1]) * 1_000_000_000 // synthetic.TICK_HZ
+    assert synthetic.column(tmp_path / "live.rrd", schema.TOUCH, "touch")[-1][0] == last
     assert live.latency.n == len(made.index)
     assert live.latency.at(100) < 1.0
 
@@ -177,6 +178,28 @@ def test_a_caller_faster_than_the_disk_is_told(tmp_path, made: synthetic.Synthet
     hold.set()
     file.close()  # it was said
     assert file.error is not None
+
+
+def test_a_live_view_is_given_close_ups_a_few_times_a_second_and_no_samples(tmp_path, made) -> None:
+    stream = sinks.new_stream(synthetic.run_info())
+    stream.save(tmp_path / "live.rrd")
+    log, builder = RunLog(stream, synthetic.run_info(), live=True), BlockBuilder(sinks.BLOCK_PERIOD, synthetic.TICK_HZ)
+    log.start()
+    for chunk in made.chunks():
+        builder.add(chunk, 0.0)
+        if (block := builder.close(0.0)) is not None:
+            log.block(block)
+    log.finish()
+    stream.disconnect()
+    found = synthetic.components(tmp_path / "live.rrd")
+    assert not {f"/{entity}" for entity in (schema.FAST, schema.HALL, schema.GUIDE)} & found.keys()
+    assert "StateChange:state" not in found[f"/{schema.HALL_LANES}"]
+    words = synthetic.column(tmp_path / "live.rrd", f"{schema.SCOPE}/0", "Points2D:labels")
+    assert 9 <= len(words) <= 13  # of 3 s
+    assert len({texts[0] for _, texts in words}) == len(words)
+    assert "angle by encoder" in words[-1][1][0]
+    strips = synthetic.column(tmp_path / "live.rrd", f"{schema.SCOPE}/0", "LineStrips2D:strips")
+    assert [at for at, _ in strips] == [at for at, _ in words]
 
 
 def test_a_live_view_makes_room_for_legends_before_its_first_sample(tmp_path, made, monkeypatch) -> None:

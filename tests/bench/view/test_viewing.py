@@ -77,6 +77,17 @@ def test_what_was_lost_is_counted_although_samples_are_left_out(long: tuple[Path
     assert counts[-1] == 160
 
 
+def test_close_ups_say_where_samples_are_left_out(long: tuple[Path, np.ndarray]) -> None:
+    told = synthetic.column(long[0], f"{schema.SCOPE}/0", "Points2D:labels")
+    words = {at / 1e9: texts[0].split("\n") for at, texts in told}
+    (left,) = (at for at, lines in words.items() if lines[1] == "from here on samples are left out")
+    assert left == pytest.approx(FAULT + 0.5, abs=1e-3)
+    assert {lines[0] for lines in words.values()} == {"the last 0.2 s over time"}
+    near = [at for at in words if abs(at - FAULT) < 0.5]
+    assert len(near) >= 3
+    assert all(words[at][1] == "no whole revolution yet: at rest" for at in near)
+
+
 def test_a_part_is_shown_sample_by_sample(long: tuple[Path, np.ndarray], tmp_path: Path) -> None:
     path, counts = long
     run = Run(path)

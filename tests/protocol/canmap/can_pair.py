@@ -28,10 +28,11 @@ class CanPair:
     """`now` is both ends' time in s; what spoils a run gets the rows of CAN_RECORDs on their way to the host."""
 
     def __init__(
-        self, rates: BusRates, extended: bool = False, node: int = 1, tx: TxQueue | None = None, boot_id: int = 0xB0071D
-    ) -> None:
+        self, rates: BusRates, extended: bool = False, node: int = 1, tx: TxQueue | None = None,
+        boot_id: int = 0xB0071D, **changes: object,
+    ) -> None:  # fmt: skip
         self.app = SmallDrive()
-        self.device = CanDevice(self.app, identity(node, boot_id), rates, extended, tx)
+        self.device = CanDevice(self.app, identity(node, boot_id, **changes), rates, extended, tx)
         self.wire = CanWire(rates, node, extended)
         self.host = HostSession(self.wire)
         self.now = 0.0
@@ -121,14 +122,15 @@ class CanPair:
                 return Descriptor.unpack(blob)
 
     def stream(
-        self, names: tuple[str, ...], decimation: int = 1, edges: bool = True, latency: int = 20
-    ) -> StreamConfig:
+        self, names: tuple[str, ...], decimation: int = 1, edges: bool = True, latency: int = 20,
+        event: StreamEvent = StreamEvent.PWM,
+    ) -> StreamConfig:  # fmt: skip
         """Configure stream 0 (samples) and 1 (edges) and start them; returns the configuration of the first."""
         descriptor = self.descriptor()
         ids = tuple(descriptor.channel(name).id for name in names)
         mask = 0
         for request in (
-            StreamSet(0, StreamEvent.PWM, decimation, latency, ids),
+            StreamSet(0, event, decimation, latency, ids),
             *((StreamSet(1, StreamEvent.EDGES, 1, latency),) if edges else ()),
         ):
             reply = self.ask(request)

@@ -67,8 +67,9 @@ def test_both_nodes_say_who_they_are_and_what_they_have() -> None:
     assert drive.nodes == load.nodes == 2
     assert drive.boot_id == load.boot_id
     assert (drive.tick_hz, drive.pwm_hz, drive.ticks_per_period) == (20_000_000, 16_000, 1250)
-    assert drive.features == Feature.EDGES | Feature.SIMULATED
-    assert load.features == Feature.SIMULATED
+    everywhere = Feature.SIMULATED | Feature.MEANINGS | Feature.MEANS
+    assert drive.features == everywhere | Feature.EDGES | Feature.CAPTURE | Feature.WAVEFORM
+    assert load.features == everywhere
     assert drive.state is DriveState.IDLE
     for hello, channels, parameters in (
         (drive, DRIVE_CHANNELS, DRIVE_PARAMETERS),
