@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from bench.export.export import Exported
     from bench.findings.health import Health
     from bench.measure.measure import Statistics
+    from bench.param.table import Parameters
     from bench.plot.plot import Plot
     from bench.record.recording import Recording, Source
     from bench.rig.drive import DriveTripped
@@ -41,7 +42,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BenchError", "Capture", "DriveTripped", "Envelope", "Recording", "Rig", "Settings", "__version__", "capture",
-    "compare", "connect", "estimate", "export", "hall", "measure", "open", "pieces", "plot", "read", "score",
+    "compare", "connect", "estimate", "export", "hall", "measure", "open", "parameters", "pieces", "plot", "read",
+    "score",
 ]  # fmt: skip
 
 _HOMES = {
@@ -248,6 +250,25 @@ def hall(run: Source, begin: float | None = None, end: float | None = None) -> H
     if isinstance(run, Capture) and begin is None and end is None:
         return examine(trace(run))
     return examine(trace(Recorded(run_of(run), begin, end)))
+
+
+def parameters(source: str | Path, node: int | None = None) -> Parameters:
+    """Parameters with unit, range, default, group and meaning, as `bench param list` shows them. Changes nothing.
+
+    Args:
+        source: a target, a dump of `bench param`, or a recorded run, as it began.
+        node: of a target, the number of the device on the link; None: the one that answers.
+
+    Returns:
+        A mapping of values by name; `.entries[name]` tells more of each, `.to_pandas()` all of it as a table.
+
+    Raises:
+        BenchError: a file that is no dump, a node that is not there, a link that is in use.
+        HbpError: the link cannot be opened, or nothing answers.
+    """
+    from bench.param.sources import read
+
+    return read(str(source), node)
 
 
 def compare(

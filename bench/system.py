@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 if sys.platform == "win32":
     import ctypes
@@ -18,6 +20,7 @@ else:
     import resource
     import select
     import termios
+    import tty
 
 MOVES_OPEN_FILES = sys.platform != "win32"
 """Whether a file that is open may be moved or removed, and a folder that holds one."""
@@ -64,6 +67,30 @@ if sys.platform == "win32":
         """Whether a file belongs neither to this user nor to the system; Windows does not tell."""
         return False
 
+    _ARROWS = {"H": "\x1b[A", "P": "\x1b[B", "M": "\x1b[C", "K": "\x1b[D"}
+
+    class Keys:
+        """Keys that are pressed at a terminal, one by one, from `begin` to `end`; arrows as ESC [ A to D."""
+
+        def __init__(self, terminal: int) -> None:
+            pass
+
+        def begin(self) -> None:
+            """Nothing has to be done."""
+
+        def end(self) -> None:
+            """Nothing has to be done."""
+
+        def typed(self) -> list[str]:
+            """Those that were pressed since the last call; never waits."""
+            keys = []
+            while msvcrt.kbhit():
+                key = msvcrt.getwch()
+                if key == "\x03":  # Ctrl-C, as this call gives it
+                    raise KeyboardInterrupt
+                keys.append(_ARROWS.get(msvcrt.getwch(), "") if key in "\x00\xe0" else key)
+            return keys
+
     class _MemoryStatus(ctypes.Structure):
         """MEMORYSTATUSEX."""
 
@@ -101,6 +128,41 @@ else:
     def of_another_user(file: Path) -> bool:
         """Whether a file belongs neither to this user nor to root. Raises OSError."""
         return file.stat().st_uid not in (os.geteuid(), 0)
+
+    class Keys:
+        """Keys that are pressed at a terminal, one by one, from `begin` to `end`; arrows as ESC [ A to D."""
+
+        def __init__(self, terminal: int) -> None:
+            self._terminal = terminal
+            self._before: list[Any] | None = None
+            self._rest = ""  # of an arrow that has not come whole
+
+        def begin(self) -> None:
+            """Keys come at once, and are not shown. Ctrl-C is a signal as ever."""
+            self._before = termios.tcgetattr(self._terminal)
+            tty.setcbreak(self._terminal, termios.TCSANOW)
+
+        def end(self) -> None:
+            """The terminal is as it was."""
+            if self._before is not None:
+                with suppress(termios.error):  # it was hung up
+                    termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
+                self._before = None
+
+        def typed(self) -> list[str]:
+            """Those that were pressed since the last call; never waits."""
+            text = self._rest
+            try:
+                while select.select([self._terminal], [], [], 0.0)[0]:
+                    data = os.read(self._terminal, 1024)
+                    if not data:
+                        break
+                    text += data.decode("utf-8", "replace")
+            except OSError:  # it was hung up
+                pass
+            keys = re.findall(r"\x1b\[[0-9;]*[A-Za-z~]|\x1b\[?[0-9;]*$|.|\n", text)
+            self._rest = keys.pop() if keys and re.fullmatch(r"\x1b\[?[0-9;]*", keys[-1]) else ""
+            return keys
 
     def memory_limits() -> Iterator[int]:
         """Bytes that this process may still take, by each limit that it has."""

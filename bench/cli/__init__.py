@@ -42,6 +42,7 @@ _COMMANDS = {
     "init": "Find a drive, ask about the bench, write bench.toml.",
     "devices": "List available ports and buses, or the nodes on one.",
     "info": "Show a drive's identity, descriptor, parameters and health.",
+    "param": "List, set, store, dump, load, compare and watch parameters of a drive.",
     "protocol": "Write a DBC file of the streams on a CAN bus, for other tools.",
     "completion": "Print the shell completion script.",
 }

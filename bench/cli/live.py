@@ -12,7 +12,7 @@ import click
 
 from bench.cli.files import FILE, RUN, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.number import Duration, Number
-from bench.cli.options import channels_option, operator_option, viewer_option, yes_option
+from bench.cli.options import Names, channels_option, operator_option, viewer_option, yes_option
 from bench.cli.streams import echo, note
 from bench.cli.target import simulated_figures, target_argument
 from bench.errors import BenchError
@@ -73,6 +73,9 @@ class Observer(click.Choice[str]):
 @click.option("--estimate", metavar="NAME", multiple=True,
               help="Run this observer on the host and show its estimate; bench replay --list names them; "
               "repeatable.")  # fmt: skip
+@click.option("--tune", metavar="A,B,…", type=Names(),
+              help="Change these parameters while it runs: arrow keys and numbers on a terminal, else lines NAME=VALUE "
+              "on standard input. The end puts them back.")  # fmt: skip
 @config_option
 @operator_option("stored in the recording")
 @json_option("the summary")
@@ -123,7 +126,7 @@ def _run(
     """Run it, and exit."""
     from bench.live import run as live
 
-    options = live.LiveOptions(target=target, settings=settings, **given)
+    options = live.LiveOptions(target=target, settings=settings, **given | {"tune": given["tune"] or ()})
     from bench.cli.output import Progress, pairs, table
     from bench.live.summary import ASKED_HEADERS, ERROR_HEADERS, Summary, asked_rows, error_rows, run_rows
 

@@ -48,7 +48,7 @@ settings_option = click.option(
 )  # fmt: skip
 
 
-class _Names(click.ParamType[tuple[str, ...]]):
+class Names(click.ParamType[tuple[str, ...]]):
     """Names with commas between them, one or more."""
 
     name = "names"
@@ -57,12 +57,13 @@ class _Names(click.ParamType[tuple[str, ...]]):
         """Read them, or say why not."""
         if names := tuple(name.strip() for name in str(value).split(",") if name.strip()):
             return names
-        raise click.UsageError("--channels is empty: give names separated by commas", ctx)
+        option = param.opts[0] if param is not None else "it"
+        raise click.UsageError(f"{option} is empty: give names separated by commas", ctx)
 
 
 def channels_option(what: str) -> Callable[[Command], Command]:
     """`--channels`, as a tuple of names or None; `what` it does, for the help."""
-    return click.option("--channels", metavar="A,B,…", type=_Names(), help=what)
+    return click.option("--channels", metavar="A,B,…", type=Names(), help=what)
 
 
 def viewer_option(words: str, *choices: str) -> Callable[[Command], Command]:

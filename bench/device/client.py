@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass, field
 from typing import TypeVar
 
-from bench.device.heard import Chunk, ClockRestarted, Heard, Misdated, Missing, Note, Sink
+from bench.device.heard import Chunk, ClockRestarted, Heard, Misdated, Missing, Note, ParameterSet, Sink
 from bench.device.losses import Continuity
 from bench.errors import SeveralDevices
 from protocol.errors import HbpError, LinkClosed, LinkError, NoReply, Refused
@@ -164,6 +164,10 @@ class Client:
         """Nodes as which several devices answer, with the boot_ids of these."""
         self.rejections: dict[int, DeviceEvent] = {}
         """By node, the last event that told why a setpoint was rejected."""
+        self.parameters: dict[int, dict[int, str]] = {}
+        """By node, the names of its parameters by id, as far as its descriptor was read."""
+        self.changed: dict[tuple[int, str], ParameterSet] = {}
+        """By node and name, the last change of a parameter that the node has told."""
         self.faults: dict[int, Fault] = {}
         """By node, all that its heartbeats and events have reported; an event may have been lost with the link."""
         self.bytes_in = 0
@@ -401,7 +405,7 @@ class Client:
                 self.faults[node] = self.faults.get(node, Fault(0)) | happened.faults
                 if happened.code == EventCode.SETPOINT_REJECTED:
                     self.rejections[node] = happened
-                self.tell(event)
+                self.tell(self._parameter_set(node, happened) or event)
             case LogReceived(log=log):
                 self.note(log.text, _LOG_LEVELS.get(log.level, "INFO"))
             case ReplyReceived(tid=tid, message=message):
@@ -434,6 +438,15 @@ class Client:
                 self._clocks.pop(node, None)
                 if self.on_reboot:
                     self.on_reboot(node)
+
+    def _parameter_set(self, node: int, event: DeviceEvent) -> ParameterSet | None:
+        """What an event tells of a parameter, by its name; None for another event, and where the name is not known."""
+        number = event.number if event.code == EventCode.PARAM_CHANGED else None
+        name = None if number is None else self.parameters.get(node, {}).get(number)
+        if name is None:
+            return None
+        told = self.changed[node, name] = ParameterSet(event.tick, node, name, event.detail, exact=True)
+        return told
 
     def _no_answer(self, node: int, kind: MessageType, tries: int, now: float) -> str:
         """That `node` did not answer, and whether it was heard meanwhile."""

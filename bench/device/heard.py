@@ -6,6 +6,7 @@ device time that was heard of the item's node, or of the drive.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from protocol.host import DeviceEventReceived, HeartbeatReceived
@@ -38,12 +39,14 @@ class Misdated(NamedTuple):
 
 
 class ParameterSet(NamedTuple):
-    """A parameter of `node` has been set from here, to what the node says it took."""
+    """A parameter of `node` has been set, from here or by another host, to what the node says it took."""
 
     tick: int
     node: int
     name: str
     value: float
+    exact: bool = False
+    """Whether the node has dated it (its event PARAM_CHANGED); else `tick` is the newest that was heard."""
 
 
 class Note(NamedTuple):
@@ -65,3 +68,15 @@ class Sink(Protocol):
 
     def take(self, item: Heard) -> None:
         """Look at an item, if it is of a kind that matters here."""
+
+
+class Changes:
+    """Sink that calls `changed` with each parameter of `node` that is set."""
+
+    def __init__(self, node: int, changed: Callable[[ParameterSet], object]) -> None:
+        self._node, self._changed = node, changed
+
+    def take(self, item: Heard) -> None:
+        """Hand it on, if it is one."""
+        if isinstance(item, ParameterSet) and item.node == self._node:
+            self._changed(item)

@@ -64,7 +64,7 @@ from protocol.messages import (
 from protocol.payload import whole_from_wire
 from protocol.signals import Flag
 from protocol.streams import MAX_STREAMS, STREAM_HEADER, StreamConfig
-from protocol.text import counted
+from protocol.text import counted, printable
 from protocol.validity import check_parameter
 from protocol.wire import ByteWire
 
@@ -73,6 +73,8 @@ SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
 MAX_LATENCY_MS = 20  # with which the bench configures streams
 DUE = 0.15  # s after which the next heartbeat is late
+MEANINGS = 3  # blob
+MOST_BLOB = 1 << 20  # bytes of a blob that is read at once
 WAVEFORM = 4  # the blob of the test signal's samples
 _BLOB_PART = 512
 _PART_TAKES = 0.05  # s, at most, that a part is under way on a UART: the request is repeated after 0.1 s
@@ -138,26 +140,45 @@ class Node:
         self._identity = self._descriptor = None
 
     def _read_descriptor(self) -> Descriptor:
-        blob = b""
-        total = 1
-        wire = self.client.session.wire
-        in_time = wire.baud / 10 * _PART_TAKES if isinstance(wire, ByteWire) else _BLOB_PART
-        part = int(min(_BLOB_PART, max(in_time, _SMALLEST_PART)))
-        while len(blob) < total:
-            reply = self.client.request(BlobRead(id=0, length=part, offset=len(blob)), self.number, BlobReply)
-            total = reply.total
-            if not reply.data and total:
-                raise NodeError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")
-            blob += reply.data
+        blob = self._read_blob(0, "the descriptor")
         if (crc := crc32(blob)) != self.identity.schema_crc:
             raise NodeError(
                 f"the descriptor of node {self.number} has CRC {crc:08x}, HELLO announced "
                 f"{self.identity.schema_crc:08x}: the firmware's schema_crc is wrong"
             )
         told = Descriptor.unpack(blob, f"node {self.number}")
+        self.client.parameters[self.number] = {record.id: record.name for record in told.parameters}
         if self.encoder:
             return told
         return replace(told, channels=tuple(replace(c, flags=c.flags & ~Flag.REFERENCE) for c in told.channels))
+
+    def meanings(self) -> dict[str, str]:
+        """What the device itself says that its parameters and channels mean, by name; empty where it says nothing."""
+        if not self.identity.features & Feature.MEANINGS:
+            return {}
+        text = self._read_blob(MEANINGS, "the blob of meanings").decode("utf-8", "replace")
+        pairs = (line.partition(" ") for line in text.split("\n"))
+        return {name: printable(meaning) for name, _, meaning in pairs if name and meaning}
+
+    def _read_blob(self, number: int, what: str) -> bytes:
+        blob = b""
+        total = 1
+        part = self._blob_part()
+        while len(blob) < total:
+            reply = self.client.request(BlobRead(id=number, length=part, offset=len(blob)), self.number, BlobReply)
+            total = reply.total
+            if not reply.data and total:
+                raise NodeError(f"{what} of node {self.number} ends at {len(blob)} of {total} bytes")
+            blob += reply.data
+            if len(blob) > MOST_BLOB:
+                raise NodeError(f"{what} of node {self.number} is said to have {total} bytes: more than {MOST_BLOB}")
+        return blob
+
+    def _blob_part(self) -> int:
+        """Bytes of a blob that are asked for, or written, at once: so many that a UART has carried them in time."""
+        wire = self.client.session.wire
+        in_time = wire.baud / 10 * _PART_TAKES if isinstance(wire, ByteWire) else _BLOB_PART
+        return int(min(_BLOB_PART, max(in_time, _SMALLEST_PART)))
 
     def waveform_room(self) -> int:
         """Samples that the waveform of the test signal may have. Needs the feature WAVEFORM."""
@@ -168,7 +189,7 @@ class Node:
 
         Needs the feature WAVEFORM.
         """
-        part = min(_BLOB_PART, self.identity.rx_max - BlobWrite.FIXED_BYTES, self.identity.tx_max)
+        part = min(self._blob_part(), self.identity.rx_max - BlobWrite.FIXED_BYTES)
         for at in range(0, len(data), part):
             piece = data[at : at + part]
             self.client.request(BlobWrite(WAVEFORM, len(piece), at, piece), self.number, Empty)
@@ -202,15 +223,29 @@ class Node:
 
     def set(self, name: str, value: float) -> float:
         """Set a parameter; returns the value that the device stored. Raises NodeError with the range if refused."""
+        told = self.client.changed.get((self.number, name))
         try:
             stored = self.client.request(ParamSet(self._parameter_id(name), value), self.number, ParamStored).stored
         except Refused as refusal:
             if refusal.code == ErrorCode.OUT_OF_RANGE:
                 now = self.parameter(name)
-                raise NodeError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
+                if not now.lo <= value <= now.hi:
+                    raise NodeError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
+                limit = f"it is beyond {refusal.detail:g}"
+                raise NodeError(f"{name} = {value:g} was refused by node {self.number}: {limit}") from None
+            if refusal.code == ErrorCode.WRONG_STATE and self._idle_only(name):
+                state = DriveState(int(refusal.detail)).name
+                why = f"node {self.number} takes it only with its outputs off, and is {state}: stop it first"
+                raise NodeError(f"{name} was not set to {value:g}: {why}") from None
+            if refusal.code == ErrorCode.READ_ONLY:
+                raise NodeError(f"{name} of node {self.number} can only be read") from None
             raise NodeError(f"{name} = {value:g} was refused by node {self.number}: {refusal}") from None
-        self.client.tell(ParameterSet(self.client.newest(self.number), self.number, name, stored))
+        if self.client.changed.get((self.number, name)) is told:  # it has not said so itself
+            self.client.tell(ParameterSet(self.client.newest(self.number), self.number, name, stored))
         return stored
+
+    def _idle_only(self, name: str) -> bool:
+        return any(record.name == name and record.flags & Flag.IDLE_ONLY for record in self.descriptor.parameters)
 
     def store(self) -> None:
         """Have all parameters kept for the next boot. Raises NodeError where it will not."""

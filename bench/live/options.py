@@ -45,6 +45,8 @@ class LiveOptions:
     """What the run is about, for the recording."""
     trigger: tuple[str, ...] = ()
     """Conditions that mark the run, see `bench.live.triggers`."""
+    tune: tuple[str, ...] = ()
+    """Parameters that are changed from the keyboard meanwhile."""
     estimate: tuple[str, ...] = ()
     """Observers to run on the host, whose estimates are shown and recorded beside the drive's."""
     web_port: int | None = None

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 
 from bench.device.bus import BusMeter
 from bench.device.client import PAUSE
-from bench.device.heard import Heard, Note, Sink
+from bench.device.heard import Changes, Heard, Note, Sink
 from bench.device.node import LOAD
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, RecordingError
@@ -27,6 +28,7 @@ from bench.live.options import LiveOptions
 from bench.live.plausible import Plausibility
 from bench.live.summary import CpuMeter, RunStatistics, Summary, as_markdown, summarise
 from bench.live.triggers import Condition, Triggers
+from bench.live.tuner import KEYS, Tuner
 from bench.motion import profile
 from bench.motion.profile import Act, Course, Profile
 from bench.record.ring import Stored
@@ -42,6 +44,7 @@ from bench.rig.profile import check_profile, envelope_of, set_first
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.streams import decimation_of
+from bench.rig.tuning import Tuning
 from bench.signal.sources import source_number, source_short
 from bench.signal.units import RPM, pole_pairs
 from bench.signal.verdict import Verdict
@@ -89,6 +92,8 @@ class LiveRun:
         self._judge: Plausibility | None = None
         self._distrust = Distrust(self.node.number, self._doubted)
         self._gathered = Gathered(())  # what counts and judges
+        self._tuning: Tuning | None = None
+        self._tuner: Tuner | None = None
         self._next_progress = 0.0
         self._last_samples = (0, 0.0)
         self._silent = False
@@ -105,6 +110,8 @@ class LiveRun:
             f"HBP {hello.major}.{hello.minor}, PWM {hello.pwm_hz} Hz, "
             f"{len(self.node.descriptor.channels)} channels, state {hello.state.name}"
         )
+        if options.tune:
+            self._tuning = Tuning(self.rig.drive, options.tune, lambda name, tick: self.rig.drive.marked(name, tick))
         self.asked = options.asked(self.node)
         if self.asked is None:
             return
@@ -221,6 +228,8 @@ class LiveRun:
         watching: list[Sink] = [self._stats, self._judge, self._distrust]
         if triggers:
             watching.append(Triggers(triggers, self.node.number, self._triggered))
+        if augmenter is not None:
+            watching.append(Changes(self.node.number, augmenter.change))
         self._gathered = Gathered(watching)
         rig.clock = self.node.clock_fit()
         profile_file = "" if options.profile is None else options.profile.source
@@ -235,7 +244,17 @@ class LiveRun:
             self.screen.note(f"dashboard: {outputs.view.url}")
         if augmenter is not None:
             self.client.change = augmenter.take
+        if self._tuning is not None:
+            self._tuner = self._at_the_keyboard(self._tuning)
         self._begin_counts()
+
+    def _at_the_keyboard(self, tuning: Tuning) -> Tuner:
+        """What does what is typed; BenchError without standard input."""
+        if sys.__stdin__ is None:
+            raise BenchError("--tune needs standard input: keys of a terminal, or lines NAME=VALUE")
+        keys = sys.__stdin__.isatty()
+        self.screen.note(f"tuning {', '.join(tuning)}: {KEYS if keys else 'by lines NAME=VALUE on standard input'}")
+        return Tuner(tuning, sys.__stdin__.fileno(), keys, lambda words: self.client.note(words, "WARN"))
 
     def _begin_counts(self) -> None:
         """The drive's own counts start from a heartbeat: the next one before anything is energised.
@@ -284,6 +303,7 @@ class LiveRun:
             lost = self._perform_all()
         finally:
             self._gathered.flush()
+            self._tell_tuned()
             self._commands(self.asked is None)
             duration, percent = self.client.now() - started, cpu.percent()
             bus = meter.report(self.node.load)
@@ -318,6 +338,12 @@ class LiveRun:
                 outputs.view.process.wait()
         return LiveOutcome(ended.exit_code, ended.verdict, ended.words, ended.findings, summary)
 
+    def _tell_tuned(self) -> None:
+        """What has been tuned, which the end puts back, and how it is kept."""
+        if self._tuning is not None and (changes := self._tuning.changes()):
+            new = " ".join(f"{n}={v:.7g}" for n, v in self._tuning.items() if v != self._tuning.before[n])
+            self.client.note(f"tuned: {changes}; now put back; to keep it: bench param set {self.target} {new}")
+
     def _commands(self, now: bool) -> None:
         """Whether the drive is told what to do in what comes from now on: its samples need not say."""
         self._stats.commanded = now
@@ -326,6 +352,10 @@ class LiveRun:
 
     def _perform_all(self) -> str:
         """All between start and stop of the streams; why the link was lost for good, if it was."""
+        with self._tuner or nullcontext():
+            return self._play_all()
+
+    def _play_all(self) -> str:
         rig, seconds = self.rig, self.options.duration
         try:
             self.node.start_streams()
@@ -391,6 +421,8 @@ class LiveRun:
             elif now - since > SILENCE and not self._silent:
                 self._silent = True
                 self.client.note(f"no DATA for {now - since:.2f} s on {self.client.link.name}", "ERROR")
+        if self._tuner is not None and self._tuner.poll():
+            self._next_progress = now
         if now >= self._next_progress:
             self._next_progress = now + PROGRESS_PERIOD
             self._tell_findings()
@@ -408,8 +440,9 @@ class LiveRun:
             motor.append(f"{omega / RPM / n_p:.0f} r/min" if n_p else f"{omega:.0f} rad/s (electrical)")
         if (i_q := stats.mean.get("i_q")) is not None:
             motor.append(f"i_q {i_q:.2f} A")
+        knobs = "" if self._tuner is None else f"{self._tuner.knobs.words()} | "
         return (
-            f"{stats.segment} | {', '.join(motor)} | "
+            f"{knobs}{stats.segment} | {', '.join(motor)} | "
             f"{stats.samples_seen} samples, {stats.edges_seen} edges, {losses.lost_by_index} lost"
         )
 

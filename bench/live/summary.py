@@ -14,10 +14,11 @@ from bench.device.bus import bus_rows
 from bench.device.client import WATCHDOG, Client
 from bench.device.counters import DeviceCounters
 from bench.device.description import describe
-from bench.device.heard import Heard, Misdated
+from bench.device.heard import Heard, Misdated, ParameterSet
 from bench.files import finite
 from bench.findings.motion import Came
 from bench.report.words import number
+from bench.signal.parameters import Change
 from bench.signal.percentiles import Percentiles
 from bench.signal.position import ErrorTable, Moments, position_errors, running, states
 from bench.view import markdown
@@ -103,6 +104,8 @@ class RunStatistics:
                 self.wrong_times.append(text)
             case DeviceEventReceived(node=self.drive, event=event):
                 self.faults |= event.faults
+            case ParameterSet(tick, self.drive, name, value, exact) if self._observers is not None:
+                self._observers.change(Change(tick, name, value), exact)
 
     def _samples(self, chunk: SampleChunk) -> None:
         """Count, and add position errors of the samples taken while the drive was running."""

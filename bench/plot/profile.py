@@ -33,7 +33,7 @@ def points(profile: Profile) -> dict[str, tuple[F64, F64]]:
         for course in act.courses:
             times = [0.0, act.seconds]
             if course.sine is not None:
-                n = min(MOST_POINTS, max(2, math.ceil(POINTS * course.sine.frequency_hz * act.seconds)))
+                n = min(MOST_POINTS, math.ceil(POINTS * course.sine.frequency_hz * act.seconds) + 1)
                 times = np.linspace(0.0, act.seconds, n).tolist()
             elif 0.0 < course.ramp < act.seconds:
                 times.insert(1, course.ramp)

@@ -23,6 +23,7 @@ from bench.device.losses import LOSS_FIELDS, Continuity
 from bench.errors import BenchError
 from bench.files import RRD, is_run, run_folder
 from bench.record import journal, layout
+from bench.record.changes import course, settled
 from bench.record.info import Kept, Mark, RunInfo, stream_from_json
 from bench.record.memory import available, in_words
 from bench.record.overview import Overview
@@ -40,6 +41,7 @@ from bench.signal.chunks import (
     of_channels,
     part,
 )
+from bench.signal.parameters import ParameterCourse
 from bench.signal.verdict import Verdict
 from bench.system import lock
 from protocol.host import DeviceEventReceived, HeartbeatReceived
@@ -181,7 +183,8 @@ class Run:
         self.notes = tuple(item for item in said if isinstance(item, Note))
         self.marks = tuple(item for item in said if isinstance(item, Mark))
         """Stretches that were marked, in the order in which they were."""
-        self.changes = tuple(item for item in said if isinstance(item, ParameterSet))
+        self.changes = settled(item for item in said if isinstance(item, ParameterSet))
+        """Parameters that were set, by any node and host, each once."""
         self.missing = tuple(item for item in said if isinstance(item, Missing))
         self.misdated = tuple(item for item in said if isinstance(item, Misdated))
         """What devices dated as it cannot be, told as it came; it was put right."""
@@ -223,6 +226,11 @@ class Run:
         """First and last device tick of which there are samples or edges; ValueError if there are none."""
         spans = [segment.span for segment in self.segments]
         return min(first for first, _ in spans), max(last for _, last in spans)
+
+    @property
+    def parameters(self) -> ParameterCourse:
+        """The drive's, as the run began, and each change after that."""
+        return course(self.info.parameters, (change for change in self.changes if change.node == self.info.node))
 
     @property
     def being_written(self) -> bool:
@@ -594,7 +602,8 @@ def captures(
         if until == END:
             lost += _lost_at_the_ends(run, first, last, stretches)
             lost += [(m.tick, m.tick, m.text) for m in run.misdated if m.node == info.node and first <= m.tick <= last]
-        return Capture(samples, covered, info.parameters, tuple(lost), edge_step=info.edge_step)
+        parameters = run.parameters.since(int(samples.tick[0]))
+        return Capture(samples, covered, parameters, tuple(lost), edge_step=info.edge_step)
 
     waiting: SampleChunk | None = None
     for piece in run.pieces(layout.SAMPLES, first, last, channels) if layout.SAMPLES in run.names else ():
@@ -686,7 +695,8 @@ def _item(record: Mapping[str, Any]) -> Kept:
         case "note":
             return Note(record["tick"], record["text"], record["level"])
         case "parameter":
-            return ParameterSet(record["tick"], record["from"], record["name"], float(record["value"]))
+            exact = bool(record.get("exact", False))
+            return ParameterSet(record["tick"], record["from"], record["name"], float(record["value"]), exact)
         case "missing":
             return Missing(record["tick"], record["from"], record["samples"], record["edges"])
         case "misdated":

@@ -7,12 +7,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.device.heard import ParameterSet
 from bench.errors import BenchError
 from bench.record.info import RunInfo
 from bench.record.layout import EDGES, SAMPLES
 from bench.record.reader import Run, capture_of, captures, require_memory
 from bench.record.times import ticks_between
 from bench.signal.capture import Capture
+from bench.signal.parameters import course_of
 from bench.signal.position import states
 from protocol.codes import EventCode
 from protocol.frames import data_frame
@@ -103,7 +105,7 @@ class Recording:
 
     @cached_property
     def changes(self) -> pd.DataFrame:
-        """Parameters that the host has set during the run."""
+        """Parameters that were set during the run, by this host or another."""
         changes = self.run.changes
         rows = [(change.node, change.name, change.value) for change in changes]
         return self._table([change.tick for change in changes], ("node", "name", "value"), rows)
@@ -127,6 +129,10 @@ class CapturedRun(Run):
             edge_step=capture.edge_step,
         )  # fmt: skip
         self._take(iter(()))
+        self.changes = tuple(
+            ParameterSet(change.tick, config.node, change.name, change.value, exact=True)
+            for change in course_of(capture.parameters).changes
+        )
         self.ended = True
         chunks = (SAMPLES, capture.samples), (EDGES, capture.edges)
         there = [(name, chunk) for name, chunk in chunks if len(chunk)]

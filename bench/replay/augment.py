@@ -13,9 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.device.heard import ParameterSet
 from bench.record.info import HOST_SUFFIX
 from bench.replay.estimators import PORTION, Estimators, raw_counts
 from bench.signal.chunks import part, with_columns
+from bench.signal.parameters import Change
 from protocol.descriptor import Channel
 from protocol.signals import ANGLE, SPEED, Flag, RawType, Signal, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -49,6 +51,10 @@ class Augmenter:
         self.channels = host_channels([entry.short for entry in self.estimators.entries], stream.channels)
         self._node = stream.node
         self._configs: dict[StreamConfig, StreamConfig] = {}
+
+    def change(self, told: ParameterSet) -> None:
+        """A parameter of the drive has changed: it counts for the samples after that which have not come yet."""
+        self.estimators.kernels.change(Change(told.tick, told.name, told.value))
 
     def take(self, chunk: SampleChunk | EdgeChunk) -> SampleChunk | EdgeChunk:
         """Samples of the drive with the estimates, after its edges up to them; all else as it is."""

@@ -27,10 +27,15 @@ class CurrentError:
     """The current error over a drive's chunks, one PWM period a sample."""
 
     def __init__(self, parameters: Mapping[str, float], pwm_hz: float) -> None:
-        bw_current = parameters.get("bw_current", 0.0)
-        self._samples = pwm_hz / (2.0 * math.pi * bw_current) if bw_current > 0.0 else 0.0
+        self._pwm_hz = pwm_hz
+        self.use(parameters)
         self._i_q = 0.0  # at the last sample, A
         self._sum = 0.0  # A, times samples
+
+    def use(self, parameters: Mapping[str, float]) -> None:
+        """The drive's parameters are these from now on."""
+        bw_current = parameters.get("bw_current", 0.0)
+        self._samples = self._pwm_hz / (2.0 * math.pi * bw_current) if bw_current > 0.0 else 0.0
 
     def of(self, chunk: SampleChunk, reset: NDArray[np.bool_]) -> F64:
         """The error at each sample, (n,) A, 0 where it is not known; `reset` (n,): where observers are initialised."""

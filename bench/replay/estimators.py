@@ -13,7 +13,8 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import NamedTuple, TypeVar
+from itertools import pairwise
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.replay.current_error import CurrentError
 from bench.signal.chunks import breaks, part
+from bench.signal.parameters import Change, course_of
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -73,6 +75,15 @@ class HostObservers:
             self._synchronised = False
         self._kernels.edges(chunk)
 
+    def change(self, change: Change, exact: bool) -> None:
+        """A parameter of the drive has changed.
+
+        Where the drive has not said when, or samples after that have been taken, nothing is compared until the drive
+        initialises its observers.
+        """
+        if self._kernels.newest_value(change.name) != change.value and not (self._kernels.change(change) and exact):
+            self._synchronised = False
+
     def samples(self, chunk: SampleChunk) -> tuple[dict[str, F64], Flags]:
         """The estimates at the samples of `chunk` by channel, and where they are valid; arrays of shape (n,).
 
@@ -103,6 +114,7 @@ class _Kernels:
 
     Chunks go in: edges wait here for the samples that cover them.
 
+    `parameters` of a `ParameterCourse` are followed: each sample is taken with those that the drive had.
     `fed`: the voltages and currents that they are given; a chunk must have them.
     `seconds` is the processor's time that each observer took for `steps` samples, `front_seconds` what the front end
     took, which is all that the average-speed approach needs.
@@ -112,14 +124,13 @@ class _Kernels:
         self, entries: Sequence[Entry], parameters: Mapping[str, float], stream: StreamConfig, fed: Sequence[str]
     ) -> None:
         _require("the Hall front end", missing(sample.Settings, parameters))
-        tables = {entry.name: known(entry, parameters, fed) for entry in entries}
         for entry in entries:
-            _require(entry.name, entry.missing(tables[entry.name]))
-        self._fed = fed
-        self._front = sample.FrontEnd(sample.make_params(stream.tick_hz, chosen(sample.Settings, parameters)))
-        self._observers = {
-            entry.name: entry.start(entry.make_params(stream.rate, tables[entry.name])) for entry in entries
-        }
+            _require(entry.name, entry.missing(known(entry, parameters, fed)))
+        self._fed, self._stream = fed, stream
+        self._parameters, self._changes = dict(parameters), list(course_of(parameters).changes)
+        self._taken = -1  # tick of the newest sample
+        self._front = sample.FrontEnd(self._front_params())
+        self._observers = {entry.name: entry.start(self._params(entry)) for entry in entries}
         self._current_error = CurrentError(parameters, stream.pwm_hz)
         self._edges: Records = np.empty(0, EDGE)
         self._measured: Records = np.empty(0, MEASURED)  # what is not fed stays 0
@@ -138,14 +149,46 @@ class _Kernels:
         self._edges = new if anew else np.concatenate([self._edges, new])
         return anew
 
+    def _front_params(self) -> sample.Params:
+        return sample.make_params(self._stream.tick_hz, chosen(sample.Settings, self._parameters))
+
+    def _params(self, entry: Entry) -> Any:
+        return entry.make_params(self._stream.rate, known(entry, self._parameters, self._fed))
+
+    def newest_value(self, name: str) -> float | None:
+        """The value that a parameter has, or will have after all changes that are known; None where it has none."""
+        later = [change.value for change in self._changes if change.name == name]
+        return later[-1] if later else self._parameters.get(name)
+
+    def change(self, change: Change) -> bool:
+        """A parameter changes; whether that is in time: no sample after it has been taken."""
+        self._changes = sorted([*self._changes, change], key=lambda change: change.tick)
+        return change.tick >= self._taken
+
+    def _follow(self, tick: int) -> None:
+        """Use the parameters that the drive had at the sample of this tick."""
+        if not (self._changes and self._changes[0].tick < tick):
+            return
+        while self._changes and self._changes[0].tick < tick:
+            change = self._changes.pop(0)
+            self._parameters[change.name] = change.value
+        self._front.params = self._front_params()
+        for observer in self._observers.values():
+            observer.params = self._params(observer.entry)
+        self._current_error.use(self._parameters)
+
     def run(self, chunk: SampleChunk, reset: Flags) -> dict[str, Records]:
         """The observers' estimates at the samples of `chunk` by name; `reset` (n,): where they are initialised."""
         found = {name: np.empty(len(chunk), observer.dtype) for name, observer in self._observers.items()}
-        for first in range(0, len(chunk), PORTION):
-            rows = slice(first, first + PORTION)
+        changed = np.searchsorted(chunk.tick, [change.tick for change in self._changes], side="right")
+        bounds = sorted({0, *range(0, len(chunk), PORTION), *changed.tolist()})
+        for first, last in pairwise([*(bound for bound in bounds if bound < len(chunk)), len(chunk)]):
+            self._follow(int(chunk.tick[first]))
+            rows = slice(first, last)
             self._portion(
                 part(chunk, rows.start, rows.stop), reset[rows], {name: of[rows] for name, of in found.items()}
             )
+        self._taken = int(chunk.tick[-1]) if len(chunk) else self._taken
         return found
 
     def _portion(self, chunk: SampleChunk, reset: Flags, found: Mapping[str, Records]) -> None:
@@ -197,6 +240,8 @@ class Estimators:
     own, and after every loss: with the first sample after lost samples, or at or after the first edge that follows
     lost edges. `restarts` counts these; `kernels` knows what the observers took. Without `follow` they go on where the
     drive initialises its own.
+
+    Parameters that are a `ParameterCourse` are followed, and `change` tells of more, as they come.
 
     Raises BenchError for a name that the catalogue does not have, and for a parameter that an observer cannot do
     without.

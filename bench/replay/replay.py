@@ -1,8 +1,8 @@
 """Runs observers again on a recording and writes a new one: all that was recorded, and the host's estimates beside it.
 
-Parameters are those that the recording began with, and what `settings` puts in their place. Losses are those that the
-stream's own gaps tell. The input is never changed, nor copied: its files are linked. The output appears, or replaces an
-earlier one, when it is whole.
+Parameters are those that the drive had at each sample, as the recording tells, and what `settings` puts in their
+place. Losses are those that the stream's own gaps tell. The input is never changed, nor copied: its files are linked.
+The output appears, or replaces an earlier one, when it is whole.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from bench.replay.augment import Augmenter
 from bench.replay.estimators import INPUTS, all_for, done_without, entry_of, given, unfit
 from bench.signal.capture import Capture
 from bench.signal.chunks import streams_none
+from bench.signal.parameters import course_of
 from bench.view import markdown
 from protocol import __version__
 from protocol.signals import DRIVE_PARAMETERS, Flag
@@ -87,7 +88,7 @@ def replay(
     if why := not_replayable(config, edge_stream, names):
         raise BenchError(f"{path} cannot be replayed: {why}")
     values = checked_settings(settings or {}, names or tuple(CATALOGUE), run.info.parameters)
-    parameters = {**run.info.parameters, **values}
+    parameters = run.parameters.fixed(values)
     left_out: tuple[str, ...] = ()
     if not names:
         names, lacking, unfed = all_for(parameters, config)
@@ -154,7 +155,7 @@ def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, flo
     name = entry_of(observer).name
     if why := not_replayable(capture.samples.config, capture.edges.config, [name]):
         raise BenchError(f"{name} cannot be run on this capture: {why}")
-    parameters = {**capture.parameters, **checked_settings(settings, [name], capture.parameters)}
+    parameters = course_of(capture.parameters).fixed(checked_settings(settings, [name], capture.parameters))
     augmenter = Augmenter([name], parameters, capture.samples.config)
     if double := [channel.name for channel in augmenter.channels if channel.name in capture]:
         raise BenchError(f"{double[0]} is already in this capture: use the original capture")
@@ -229,7 +230,8 @@ def _unknown(run: Run) -> tuple[str, ...]:
     missing = [name for name in INPUTS if name not in names]
     notes = [f"what followed the end: {ENDS_EARLY}"] if not run.ended else []
     notes += run.damage
-    notes.append("parameters changed during the run: the initial values are used")
+    if told := sorted({change.name for change in run.changes if change.node == run.info.node and not change.exact}):
+        notes.append(f"when exactly {', '.join(told)} changed: the drive does not tell it")
     if "status" in missing:
         notes.append("where the drive initialised its observers: no channel status")
     if ("i_q" in missing or "i_q_ref" in missing) and given(run.drive_streams[0]):

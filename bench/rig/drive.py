@@ -12,12 +12,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from bench.device.client import WATCHDOG
+from bench.device.heard import ParameterSet
 from bench.device.node import Node
 from bench.errors import BenchError, DriveFailed, ExitCode
 from bench.rig.envelope import Envelope
 from bench.rig.machine import Machine, require_announced, require_announced_speed
 from bench.rig.restore import try_all
 from bench.rig.runaway import RunawayGuard
+from bench.rig.tuning import Marked, Tuning
 from bench.signal.sources import source_names, source_number
 from bench.signal.units import RPM, pole_pairs, shaft_speed
 from bench.signal.waveforms.excitation import Waveform
@@ -63,11 +65,13 @@ class Drive(Machine):
         self.changed: dict[str, float] = {}
         """Those that were set, as they were last set."""
         self._initial: dict[str, float] = {}
+        self.marked: Marked = lambda name, tick: None
+        """What marks a moment in the recording, by name and device tick."""
         self.guard: RunawayGuard | None = None
         """What sees that the motor runs away, once it is known what is streamed."""
         self.ran_away = False
         """Whether its motor ran away, and was switched off."""
-        self.follows = False
+        self.on_course = False
         """Whether speeds follow each other as points of one course: what was seen of the shaft still counts then."""
         self._may_trip = False
         self._expected = Fault(0)  # faults that a test was about
@@ -77,6 +81,10 @@ class Drive(Machine):
     def learn(self, parameters: dict[str, float]) -> None:
         """These are its parameters before anything is set."""
         self.parameters, self._initial = dict(parameters), dict(parameters)
+
+    def follow(self, change: ParameterSet) -> None:
+        """One of its parameters has another value, whoever has set it."""
+        self.parameters[change.name] = change.value
 
     # -- what it is ---------------------------------------------------------------------------------------------
 
@@ -172,7 +180,7 @@ class Drive(Machine):
     def stop(self) -> DriveState:
         """See `Machine.stop`."""
         self.ran_away |= bool(self.runs_away)
-        self.follows = False
+        self.on_course = False
         self.may_turn_freely(None)
         self._ask(None)
         try:
@@ -222,6 +230,20 @@ class Drive(Machine):
                 self.set("test", float(TestSignal.OFF))
 
     @contextmanager
+    def tuning(self, *names: str, **values: float) -> Iterator[Tuning]:
+        """Within this, parameters of these names are tuned: each change is marked, and the end puts all back.
+
+        `values` are set at once. NodeError for a name that the drive does not have, or does not let one tune.
+        """
+        tuning = Tuning(self, (*names, *(name for name in values if name not in names)), self.marked)
+        try:
+            for name, value in values.items():
+                tuning[name] = value
+            yield tuning
+        finally:
+            tuning.put_back()
+
+    @contextmanager
     def may_trip(self) -> Iterator[None]:
         """Within this a trip is no failure of the test: it is what the test is about. `faults` tells which."""
         self._may_trip = True
@@ -252,7 +274,7 @@ class Drive(Machine):
         return f"{verdict}; it was switched off" if verdict else ""
 
     def _ask(self, omega_m: float | None) -> None:
-        if self.guard is not None and self.follows:
+        if self.guard is not None and self.on_course:
             self.guard.follow(omega_m)
         elif self.guard is not None:
             self.guard.ask(omega_m)

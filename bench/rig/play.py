@@ -75,7 +75,7 @@ class Player:
         """Play them one after the other. Raises what the rig raises where something goes wrong."""
         client = self._stage.client
         with ExitStack() as stack:
-            stack.callback(setattr, self._stage.drive, "follows", False)
+            stack.callback(setattr, self._stage.drive, "on_course", False)
             for machine in self._stage.machines:
                 stack.enter_context(machine.node.unwaited())
             begin = client.now()
@@ -128,7 +128,7 @@ class Player:
         for name, value in act.sets.items():
             drive.set(name, value)
         if "observer" in act.sets:  # another speed is watched
-            drive.follows = False
+            drive.on_course = False
         drive.may_turn_freely(self._max_speed if act.drive.quantity == profile.CURRENT else None)
         self._due = -math.inf
         self._go_on(act, t)
@@ -152,10 +152,10 @@ class Player:
         match quantity:
             case profile.SPEED:
                 drive.speed(rpm=value)
-                drive.follows = True
+                drive.on_course = True
             case profile.CURRENT:
                 drive.current(value)
-                drive.follows = True
+                drive.on_course = True
             case profile.LOAD_TORQUE:
                 load.torque(value)
             case profile.LOAD_CURRENT:

@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bench.device.counters import DeviceCounters
-from bench.device.heard import Heard, Misdated, Missing
+from bench.device.heard import Heard, Misdated, Missing, ParameterSet
 from bench.errors import BenchError
+from bench.record.changes import course
 from bench.signal.capture import Capture
 from bench.signal.chunks import LostStretches, between, join, no_edges, streams_none
 from protocol.host import HeartbeatReceived
@@ -29,6 +30,7 @@ class Recorder:
         self._drive = drive
         self._samples: list[SampleChunk] = []
         self._edges: list[EdgeChunk] = []
+        self._set: list[ParameterSet] = []
         self._lost = LostStretches()
         self._beats = 0, 0  # the drive's counts of edges, by its first heartbeat and its last
 
@@ -48,6 +50,8 @@ class Recorder:
                 self.device.add(heartbeat)
             case Missing(node=self._drive, samples=samples, edges=edges):
                 self.dropped += self._lost.at_the_end(samples, edges, self.tick_hz)
+            case ParameterSet(node=self._drive):
+                self._set.append(item)
             case Misdated(tick, self._drive, text):
                 self.dropped.append((tick, tick, text))
 
@@ -73,7 +77,10 @@ class Recorder:
         return float(chunk.physical(channel)[-1])
 
     def capture(self, first: int, last: int, parameters: Mapping[str, float]) -> Capture:
-        """What lies between the ticks `first` and `last`, both included. BenchError if that is nothing."""
+        """What lies between the ticks `first` and `last`, both included. BenchError if that is nothing.
+
+        `parameters`: the drive's before it was recorded.
+        """
         chunks = [c for c in self._samples if c.tick[-1] >= first and c.tick[0] <= last]
         if not chunks:
             raise BenchError(f"no sample between {self._at(first)} and {self._at(last)}")
@@ -88,7 +95,8 @@ class Recorder:
             )
         if self.newest < last:
             dropped.append((self.newest, last, f"no sample received after {self._at(self.newest)}"))
-        return Capture(samples, edges, dict(parameters), tuple(dropped))
+        known = course(parameters, self._set).since(int(samples.tick[0]))
+        return Capture(samples, edges, known, tuple(dropped))
 
     def count(self) -> tuple[int, int]:
         """Samples and edges so far."""

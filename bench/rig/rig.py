@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from bench.device.client import LISTEN, POLL, Client
-from bench.device.heard import Sink
+from bench.device.heard import Changes, Sink
 from bench.device.node import ClockFit, Node
 from bench.device.safety import is_off, says
 from bench.errors import BenchError, DriveFailed, OutputsMayBeOn, SeveralDevices
@@ -276,11 +276,13 @@ class Rig:
         info = run_info(self.drive.node, plan.target, channels, self.drive.parameters, plan.settings, **recording.about)
         outputs = self.outputs = Outputs(info, recording, plan.virtual)
         self._stack.callback(outputs.close)
+        self.drive.marked = lambda name, tick: outputs.mark(name, tick, tick, None)
         if outputs.file is not None and not plan.goes_on:
             self._stack.callback(outputs.file.close)
         if plan.goes_on:
             outputs.time_by(lambda tick: None if self.clock is None else self.clock.host_time(tick))
-        self.client.sinks = [*watching, *([] if plan.passive else [self.guard()]), *outputs.sinks]
+        following = Changes(self.drive.node.number, self.drive.follow)
+        self.client.sinks = [*watching, following, *([] if plan.passive else [self.guard()]), *outputs.sinks]
         self.client.tell_misdated()
         return outputs
 
@@ -475,7 +477,7 @@ class Rig:
         """What came between two device ticks. BenchError if nothing did."""
         if self.recorder.newest < first:
             raise BenchError(f"no DATA for {SILENCE:g} s on {self.client.link.name}")
-        return self.recorder.capture(first, last, self.drive.parameters)
+        return self.recorder.capture(first, last, {value.name: value.value for value in self.before})
 
     def latest(self, channel: str) -> float:
         """The newest value of a channel, in its unit. BenchError before the first sample, or without that channel."""

@@ -119,8 +119,8 @@ def load(source: Source, asked: Asked) -> Track:
     Raises BenchError where it has no reference, no samples, or a clock that goes back.
     """
     run = readable(source)
-    parameters = run.info.parameters
-    parameters = {**parameters, **checked_settings(asked.settings, asked.names or tuple(CATALOGUE), parameters)}
+    parameters = run.parameters
+    parameters = parameters.fixed(checked_settings(asked.settings, asked.names or tuple(CATALOGUE), parameters))
     (config, _), recorded = run.drive_streams, _recorded(run.drive_streams[0])
     pieces: Pieces = partial(captures, run, *ticks_between(run, asked.begin, asked.end))
     channels = {name: angle for name, (_, angle, _) in recorded.items()}
@@ -133,7 +133,7 @@ def load(source: Source, asked: Asked) -> Track:
     _require_unambiguous(course, str(run.path), config.rate, fastest)
     assumed = {"n_p": 1.0, "omega_m_max": FASTER * max(course.top_speed, reference.fastest) / (n_p or 1)}
     assumed = {name: value for name, value in assumed.items() if name not in parameters}
-    found = _track(run, {**parameters, **assumed}, reference, pieces, course, asked.names)
+    found = _track(run, parameters.fixed(assumed), reference, pieces, course, asked.names)
     notes = list(found.notes)
     if "omega_m_max" in assumed and HOST in found.kinds.values():
         notes.append(f"omega_m_max is not told: observers expect {FASTER:g} times the fastest that the shaft turns")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.signal.channels import reference_angle, speed_channel
 from bench.signal.chunks import as_bytes, between, join, part, streams_none
+from bench.signal.parameters import course_of
 from bench.signal.position import position_error, unwrapped
 from protocol.frames import data_frame
 from protocol.signals import Flag
@@ -34,8 +35,8 @@ _NEARLY = 0.998  # share of a sensor's range that counts as all of it: two count
 class Capture:
     """Samples and Hall edges from one device tick to another.
 
-    `parameters`: the drive's, by name, when the capture began. `dropped`: stretches (tick, tick, words) in which
-    something was lost, wherever the loss was seen.
+    `parameters`: the drive's, by name, when the capture began; as a `ParameterCourse` with what changed later.
+    `dropped`: stretches (tick, tick, words) in which something was lost, wherever the loss was seen.
     """
 
     samples: SampleChunk
@@ -131,6 +132,7 @@ class Capture:
             self,
             samples=samples,
             edges=between(self.edges, first, last),
+            parameters=course_of(self.parameters).since(int(samples.tick[0])),
             dropped=tuple(stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first),
         )
 

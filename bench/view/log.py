@@ -18,7 +18,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from bench.device.counters import DeviceCounters
-from bench.device.heard import ClockRestarted, Note
+from bench.device.heard import ClockRestarted, Note, ParameterSet
 from bench.record.info import AnyChannel, Mark, RunInfo, ns_from_tick
 from bench.record.layout import EDGE_FIELDS, numbers, stream_key, stream_name
 from bench.record.overview import ERROR
@@ -147,7 +147,7 @@ class RunLog:
             self._event(node, event)
         for node, heartbeat in block.of(HeartbeatReceived):
             self._heartbeat(node, heartbeat)
-        for tick, text, level in block.of(Note):
+        for tick, text, level in [*block.of(Note), *map(_set, block.of(ParameterSet))]:
             self._at(int(ns_from_tick(tick, self.run.tick_hz)))
             self._stream.log(schema.NOTES, _line(text, level))
         if self._lanes_ns and self._now_ns - self._lanes_ns >= REPEAT * 1e9:
@@ -574,6 +574,11 @@ def health_text(values: Mapping[str, int]) -> str:
 def _markdown(text: str) -> rr.TextDocument:
     whole = text.encode(errors="backslashreplace").decode()  # a file's name may hold halves of characters
     return rr.TextDocument(whole, media_type=rr.MediaType.MARKDOWN)
+
+
+def _set(change: ParameterSet) -> Note:
+    """That a parameter was set, as a line."""
+    return Note(change.tick, f"node {change.node}: {change.name} = {change.value:.7g}")
 
 
 def _line(text: str, level: str) -> rr.TextLog:

@@ -245,13 +245,14 @@ def _windows(run: Run, segment: Segment, begin: int, end: int) -> Iterator[list[
 
 
 class _Said:
-    """Events, heartbeats and notes of a run, handed out with the samples that they came with."""
+    """Events, heartbeats, notes and changed parameters of a run, handed out with the samples that they came with."""
 
     def __init__(self, run: Run, first: int, last: int) -> None:
         said: tuple[list[tuple[int, Heard]], ...] = (
             [(event.tick, DeviceEventReceived(event.node, event)) for event in run.events],
             [(beat.heartbeat.tick, beat) for beat in run.heartbeats],
             [(note.tick, note) for note in run.notes],
+            [(change.tick, change) for change in run.changes],
         )
         self._waiting = [deque(pair for pair in some if first <= pair[0] <= last) for some in said]
 

@@ -1,6 +1,6 @@
-/* hbp.h: the device side of HBP 1.0, the Hall Bench Protocol (protocol/SPEC.md), in C99. This comment is the manual.
+/* hbp.h: the device side of HBP 1.1, the Hall Bench Protocol (protocol/SPEC.md), in C99. This comment is the manual.
  *
- * WHAT.  Copy hbp.h and hbp.c into a firmware (and hbp_can.h, hbp_can.c for CAN), and a motor drive answers `bench`: identity,
+ * WHAT.  Copy hbp.h, hbp_way.h, hbp.c and hbp_capture.c into a firmware (and hbp_can.h, hbp_can.c for CAN), and a motor drive answers `bench`: identity,
  * parameters, states and watchdog, samples at the PWM rate, timestamped Hall edges, events. No heap, no operating
  * system, no library but memcpy, memset, memcmp. Proved by `bench conform`.
  *
@@ -84,6 +84,10 @@
  *
  * A whole program of this kind is examples/posix.c.
  *
+ * CAPTURE.  Where the configuration gives memory (`capture`), samples and edges are held in it and frozen by a trigger, as a host asks, or by
+ * a fault without being asked: chapter 19 of SPEC, and docs/firmware.md. The memory is two rings, in which hbp_tick and hbp_edge write; from
+ * the end of a capture on it is the main loop's. Call hbp_raise before hbp_tick, and the record of that period is that of the fault.
+ *
  * WHO MAY CALL WHAT.  There are no locks; each queue has one writer and one reader.
  *   - main loop: hbp_link_init, hbp_add, hbp_rx, hbp_poll, hbp_fault, hbp_log. Only these call the application's functions.
  *   - PWM interrupt: hbp_tick, hbp_may_run, hbp_raise.
@@ -94,7 +98,7 @@
  *
  * TIME OF THE INTERRUPTS.  hbp_tick copies the chosen channels of each running stream: on a Cortex-M4, compiled for size, 50 instructions, 45
  * for each running stream of samples and 21 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 54,
- * hbp_may_run 17 and hbp_raise 20. CRC and COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
+ * hbp_may_run 17 and hbp_raise 22. While a capture waits, 19 to 43 more, and the copying of its record; hbp_edge then takes 133. CRC and COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
  *
  * WHAT IS LOST IS COUNTED.  Samples wait in blocks, one being filled by the interrupt, until the transmit queue has room. A block that
  * finds no free place is dropped whole, and counted: `tx_dropped`, the gap in `seq`, OVERRUN.
@@ -143,6 +147,15 @@ extern "C" {
 #endif
 #ifndef HBP_CRC_TABLE
 #define HBP_CRC_TABLE 16 /* entries of 4 bytes: 16, or 256, which is twice as quick */
+#endif
+#ifndef HBP_CAPTURE
+#define HBP_CAPTURE 1 /* 1: with hbp_capture.c, which holds samples and edges in memory that the configuration gives; 0: without */
+#endif
+#ifndef HBP_WAVEFORM
+#define HBP_WAVEFORM 1 /* 1: hosts can write samples of a test signal into memory that the configuration gives; 0: they cannot */
+#endif
+#ifndef HBP_CAPTURE_PART
+#define HBP_CAPTURE_PART 256 /* bytes of a frozen capture of which hbp_poll makes the CRC at a time */
 #endif
 #ifndef HBP_BARRIER
 #if defined(__GNUC__)
@@ -369,7 +382,7 @@ struct hbp_channel {
 struct hbp_parameter {
     uint16_t id;      /* unique among parameters */
     uint8_t unit;
-    uint16_t flags;   /* HBP_FLAG_READ_ONLY, HBP_FLAG_IDLE_ONLY, HBP_FLAG_WHOLE */
+    uint16_t flags;   /* HBP_FLAG_READ_ONLY, HBP_FLAG_IDLE_ONLY, HBP_FLAG_WHOLE, HBP_FLAG_VOLATILE, and its group */
     float lo, hi;     /* range, inclusive */
     float initial;    /* out of the box */
     float *value;     /* what the firmware computes with; unused where the configuration has `get` and `set` */
@@ -398,6 +411,13 @@ struct hbp_config {
     uint16_t (*commit)(void *user, float *detail);              /* store all parameters; or null */
     float (*get)(void *user, uint16_t k);                       /* value of parameters[k]; or null */
     uint16_t (*set)(void *user, uint16_t k, float value, float *detail); /* use it, it is within its range; or null */
+    uint8_t *capture;           /* memory for captures, or null */
+    uint32_t capture_bytes;     /* less than 2^31 */
+    const uint16_t *fault_channels; /* ids of the channels that are held until a fault; or null: all without HBP_FLAG_ON_REQUEST */
+    uint16_t n_fault_channels;
+    const char *meanings;       /* what parameters and channels mean, "name meaning\n" for each (5.45 of SPEC); or null */
+    int16_t *waveform;          /* samples of the test signal, which the host writes while the parameter "test" is 0; or null */
+    uint16_t waveform_length;   /* how many, 256 at least */
 };
 
 /* ---- memory; nothing in it is the application's to write ----------------------------------------------------------------- */
@@ -410,7 +430,7 @@ struct hbp_reply { /* one that is kept */
     uint32_t request; /* its CRC-32 */
     uint16_t tid, length;
     uint8_t type, flags, transfer, there;
-    uint8_t payload[26 + 2 * HBP_CHANNELS];
+    uint8_t payload[(HBP_CAPTURE ? 66 : 26) + 2 * HBP_CHANNELS];
 };
 
 struct hbp_peer { /* a host */
@@ -455,15 +475,75 @@ struct hbp_stream {
     volatile uint32_t dropped;   /* frames for which there was no place */
 };
 
+#if HBP_CAPTURE
+struct hbp_run { /* bytes of a sample that stand side by side in a record, too */
+    uint16_t at, bytes;
+};
+
+struct hbp_calls {
+    uint8_t asked;  /* the main loop's: the trigger that has come; `asked_tick` when */
+    uint8_t raised; /* hbp_raise's: a fault has come */
+    uint8_t edged;  /* hbp_edge's: an edge is the trigger; `edge_tick` when */
+    uint8_t fresh;  /* the main loop's: no period has come since the arming */
+};
+
+struct hbp_capture {
+    volatile union {
+        struct hbp_calls by;
+        uint32_t any;
+    } calls;                     /* what hbp_tick must look at */
+    volatile uint8_t running;    /* the main loop's: the interrupts take records and edges; hbp_tick ends it */
+    volatile uint8_t state;      /* the main loop's; hbp_tick makes ARMED TRIGGERED */
+    /* the main loop's, and the interrupts' to read while `running` */
+    uint8_t trigger;             /* as armed */
+    uint8_t width, is_float;     /* of the channel that is watched, width 0: none */
+    uint8_t kind;                /* of the condition: 0 it is so, 1 it begins to be so, 2 the value changes */
+    /* hbp_tick's */
+    uint8_t was, wrapped, cause;
+    /* hbp_edge's */
+    uint8_t edge_wrapped, before_last;
+    uint16_t edge_to;            /* where the next edge goes */
+    uint16_t skip;               /* hbp_tick's: periods without a record before the next one */
+    /* the main loop's, as above */
+    uint16_t decimation, record_bytes, edge_room, at, runs, channels, number;
+    uint32_t low, span, flip;    /* a raw value exclusive-or `flip` fulfils the condition from `low` to `low + span`; hbp_tick's for change */
+    uint8_t *records;            /* behind the edges */
+    uint32_t ring_bytes;         /* of all records */
+    uint32_t before, after;
+    volatile uint32_t asked_tick, asked_faults;
+    uint32_t pulse;              /* ticks */
+    uint32_t room;               /* bytes of memory, 0: there is no capture */
+    /* hbp_tick's */
+    uint32_t to;                 /* where the next record goes */
+    uint32_t left;               /* records still to be taken after the trigger */
+    uint32_t back;               /* records that had been taken from the trigger's on when it was seen */
+    uint32_t faults;             /* at the trigger */
+    uint32_t edges_begun;        /* edges before the first record of the ring was written last */
+    uint64_t index;              /* of the trigger's record */
+    /* hbp_edge's */
+    uint32_t edge_tick, last_tick, lost_tick; /* of the trigger, of the last one, of the last one given up */
+    uint32_t edge_end;           /* number of the edge after the last one */
+    /* the main loop's */
+    uint32_t start, edge_start;  /* of blob 1 in the rings, bytes */
+    uint32_t summed;             /* bytes of it that are in the CRC */
+    uint32_t told[12];           /* what the reply tells of a frozen one */
+    struct hbp_run run[HBP_CHANNELS];
+    uint16_t take[HBP_CHANNELS]; /* positions in the table of channels */
+};
+#endif
+
 struct hbp { /* a device */
     const struct hbp_config *config;
     struct hbp_link_base *link;
     struct hbp *other; /* the next one on the link */
-    uint32_t boot_id, schema_crc, period; /* period: ticks of a PWM period */
+#if HBP_CAPTURE
+    struct hbp_capture *capture; /* null: no memory for it */
+#endif
+    uint32_t features, boot_id, schema_crc, period; /* period: ticks of a PWM period */
     uint64_t now, fed, armed, next_heartbeat;
     uint32_t faults, first_fault, dropped, beat;
     uint16_t setpoint_counter, setpoints_rejected, last_tid, cfg_id;
-    uint16_t watchdog; /* position of that parameter, HBP_NONE: there is none */
+    uint16_t watchdog, test; /* positions of these parameters, HBP_NONE: there is none */
     uint8_t state;
     struct hbp_peer *peer; /* whose request is being answered */
     struct hbp_peer peers[HBP_HOSTS];
@@ -479,6 +559,9 @@ struct hbp { /* a device */
     volatile uint32_t edges; /* since boot */
     volatile uint16_t edge_head, edge_tail;
     struct hbp_hall_edge ring[HBP_EDGES];
+#if HBP_CAPTURE
+    struct hbp_capture captured;
+#endif
 };
 
 struct hbp_link_base { /* what all kinds of link have */
@@ -511,6 +594,8 @@ enum {
     HBP_WRONG_TEXT = 0x50000,            /* no name, or a text that is too long or has control characters */
     HBP_WRONG_COUNT = 0x60000,           /* more channels than HBP_CHANNELS */
     HBP_WRONG_BUS = 0x70000,             /* hbp_can_init */
+    HBP_WRONG_CAPTURE = 0x80000,         /* too little memory for five records, or a wrong id in fault_channels */
+    HBP_WRONG_WAVEFORM = 0x90000,        /* fewer than 256 samples */
     HBP_WRONG_CHANNEL_NAME = 0x110000,   /* empty or longer than 16 bytes */
     HBP_WRONG_CHANNEL_TYPE = 0x120000,   /* not one of HBP_RAW_… */
     HBP_WRONG_CHANNEL_SCALE = 0x130000,  /* 0, or not finite */

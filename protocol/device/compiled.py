@@ -26,20 +26,22 @@ from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
 from protocol.descriptor import sample_dtype
-from protocol.device.app import DeviceApp, Identity
+from protocol.device.app import DeviceApp, Extras, Identity
+from protocol.device.blobs import meanings_blob
 from protocol.device.records import LateSamples, Samples, made, rows_of
 from protocol.errors import Refused
 from protocol.messages import DriveState, Fault, Feature, SetpointMode
+from protocol.streams import EDGE_RECORD
 
 SOURCE = Path(__file__).parents[1] / "c"
-FILES = ("hbp.c", "hbp_can.c", "host/shim.c")
+FILES = ("hbp.c", "hbp_capture.c", "hbp_can.c", "host/shim.c")
 FLAGS = "-std=c99 -O2 -fPIC -shared"
 OPTIONS = """
     HBP_RX_MAX=1024 HBP_TX_MAX=1024 HBP_TX_BYTES=8192 HBP_CHANNELS=256 HBP_POOLS=4 HBP_EDGES=16384 HBP_HOSTS=16
-    HBP_CRC_TABLE=256 HBP_CAN_BYTES=64 HBP_CAN_MESSAGES=1024 HBP_CAN_TRANSFERS=34
+    HBP_CRC_TABLE=256 HBP_CAPTURE_PART=1048576 HBP_CAN_BYTES=64 HBP_CAN_MESSAGES=1024 HBP_CAN_TRANSFERS=34
 """
 MIN_POOL = 1 << 12  # bytes
-FEATURES = Feature.EDGES | Feature.COMMIT | Feature.SIMULATED
+FEATURES = ~Feature.MEANS
 """What the device side in C has: no other is told."""
 
 
@@ -151,6 +153,7 @@ class CompiledSession:
         self._lib = lib
         self._dtype = sample_dtype(app.channels)
         self._memory = ctypes.create_string_buffer(lib.shim_device_bytes())
+        self._edges: list[NDArray[np.void]] = []  # that come before samples which have not been pushed yet
         self.at = ctypes.addressof(self._memory)
         self.config = ctypes.byref(self._make_config())
         """A pointer to the app as C sees it, for `hbp_add`."""
@@ -167,10 +170,15 @@ class CompiledSession:
 
     @property
     def channels(self) -> frozenset[str]:
-        """Names of the channels that streams are configured with."""
+        """See `DeviceSession.channels`."""
         used = np.zeros(len(self.app.channels), np.uint8)
         self._lib.shim_channels(self.at, used.ctypes.data)
         return frozenset(channel.name for channel, taken in zip(self.app.channels, used, strict=True) if taken)
+
+    @property
+    def sampling(self) -> bool:
+        """Whether a stream runs, or a capture takes samples."""
+        return bool(self.running) or bool(self._lib.shim_capturing(self.at))
 
     @property
     def dropped(self) -> int:
@@ -198,15 +206,26 @@ class CompiledSession:
 
     def push_samples(self, index0: int, tick0: int, samples: Samples) -> None:
         """See `DeviceSession.push_samples`; C makes the ticks itself."""
-        if isinstance(samples, LateSamples) and not self.running:
+        if isinstance(samples, LateSamples) and not self.sampling:
             return
         rows = rows_of(made(samples, self.channels), self._dtype)
-        self._lib.shim_ticks(self.at, index0, rows.ctypes.data, self._dtype.itemsize, len(rows))
+        self._give(index0, rows.ctypes.data, len(rows))
 
     def push_edges(self, records: NDArray[np.void]) -> None:
-        """See `DeviceSession.push_edges`."""
-        data = np.ascontiguousarray(records)
-        self._lib.shim_edges(self.at, data.ctypes.data, len(data))
+        """See `DeviceSession.push_edges`. C gets them among the samples that follow, or when it looks at the time."""
+        if len(records):
+            self._edges.append(records.copy())
+
+    def look(self) -> None:
+        """Before C looks at the time: give it edges that no sample has followed."""
+        if self._edges:
+            self._give(self._lib.shim_periods(self.at), None, 0)
+
+    def _give(self, index0: int, rows: int | None, n: int) -> None:
+        """Give C `n` samples from the period `index0` on, at the address `rows`, and the edges that wait."""
+        edges = np.concatenate(self._edges) if self._edges else np.empty(0, EDGE_RECORD)
+        self._edges.clear()
+        self._lib.shim_ticks(self.at, index0, rows, self._dtype.itemsize, n, edges.ctypes.data, len(edges))
 
     def fault(self, bits: Fault) -> None:
         """Latch faults: outputs off, state FAULT."""
@@ -226,7 +245,7 @@ class CompiledSession:
     # -- the app as C sees it ---------------------------------------------------------------------------------------
 
     def _make_config(self) -> Any:
-        app, identity = self.app, self.identity
+        app, identity, extras = self.app, self.identity, Extras.of(self.app)
         offsets: dict[str, Any] = dict(self._dtype.fields or {})
         channels = [
             (s.id, s.raw, s.unit, s.flags, offsets[s.name][1], s.scale, s.offset, s.name.encode()) for s in app.channels
@@ -238,6 +257,20 @@ class CompiledSession:
         self._channels = (structure("hbp_channel") * max(1, len(channels)))(*channels)
         self._parameters = (structure("hbp_parameter") * max(1, len(parameters)))(*parameters)
         names = [parameter.name for parameter in app.parameters]
+        by_name = {channel.name: channel.id for channel in app.channels}
+        ids = [by_name[name] for name in extras.fault_channels]
+        self._fault_channels = (ctypes.c_uint16 * len(ids))(*ids)
+        given: dict[str, Any] = {}
+        if identity.features & Feature.CAPTURE and identity.capture_bytes:
+            self._capture = ctypes.create_string_buffer(identity.capture_bytes)
+            given = {"capture": ctypes.addressof(self._capture), "capture_bytes": identity.capture_bytes}
+        if ids:
+            given["fault_channels"] = ctypes.addressof(self._fault_channels)
+        if identity.features & Feature.MEANINGS and extras.meanings:
+            given["meanings"] = meanings_blob(extras.meanings, {*by_name, *names})
+        if identity.features & Feature.WAVEFORM and extras.waveform is not None:
+            given["waveform"] = extras.waveform.ctypes.data
+            given["waveform_length"] = len(extras.waveform)
 
         def refusing(call: Callable[..., object]) -> Callable[..., int]:
             """`call` with the last argument, where to put a refusal's detail, taken off."""
@@ -275,10 +308,13 @@ class CompiledSession:
         config = structure("hbp_config")
         types = dict(config._fields_)
         told = {key: each.encode() if isinstance(each, str) else each for key, each in asdict(identity).items()}
+        del told["capture_bytes"]  # only where there is memory
         return config(
             sample_bytes=self._dtype.itemsize,
             channels=ctypes.addressof(self._channels), n_channels=len(channels),
             parameters=ctypes.addressof(self._parameters), n_parameters=len(parameters),
+            n_fault_channels=len(ids),
+            **given,
             **{name: told[name] for name in types if name in told},
             **{name: types[name](call) for name, call in calls.items()},
         )  # fmt: skip
@@ -308,11 +344,13 @@ class CompiledLink:
 
     def receive(self, data: bytes) -> None:
         """Take bytes from the link, cut anywhere."""
+        self._look()
         self._lib.hbp_rx(self._at, self._tick, data, len(data))
         self._check()
 
     def advance(self, tick: int) -> None:
         """Let time pass up to the 64-bit `tick` for every device."""
+        self._look()
         self._tick = tick
         self._lib.hbp_poll(self._at, tick)
         self._check()
@@ -336,6 +374,10 @@ class CompiledLink:
             self._lib.hbp_poll(self._at, self._tick)  # what waits in the pools moves up
         self._check()
         return b"".join(parts)
+
+    def _look(self) -> None:
+        for session in self.sessions.values():
+            session.look()
 
     def _check(self) -> None:
         for session in self.sessions.values():

@@ -33,6 +33,9 @@ def _assumptions(p: BenchParams) -> Iterator[str]:
     motor, firmware = p.motor, p.firmware
     if firmware.n_p != motor.n_p:
         yield f"firmware.n_p = {firmware.n_p}, but motor.n_p = {motor.n_p}"
+    lines = p.encoder.pulses_per_rev
+    if p.encoder.present and firmware.encoder_lines != lines:
+        yield f"firmware.encoder_lines = {firmware.encoder_lines}, but encoder.pulses_per_rev = {lines}"
     for name, assumed, true, least, most, unit in (
         ("R_s_hat", firmware.R_s_hat, "motor.R_s", motor.R_s, motor.R_s, "ohm"),
         ("L_s_hat", firmware.L_s_hat, "motor.L_q", min(motor.L_d, motor.L_q), max(motor.L_d, motor.L_q), "H"),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -18,34 +17,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.messages import DriveState, Fault, SetpointMode
-from protocol.signals import AngleSource, hall_map
+from protocol.signals import AngleSource
 from protocol.streams import EDGE_RECORD
 from sim.config.params import BenchParams, ConfigError
 from sim.config.sections import AT_BOOT
-from sim.control import current_loop, dead_time, speed_loop
-from sim.drive import tick, tick_commission, tick_firmware
+from sim.drive import constants, tick, tick_commission, tick_firmware
 from sim.drive import tick_protection as protection
-from sim.drive.channels import SOURCES, ampere
+from sim.drive.channels import SOURCES
 from sim.drive.recorded import Recorded, Sections
 from sim.interrupts import Held
 from sim.native import Cells, layout, value
-from sim.observers import average_speed, sample
-from sim.observers.entry import Observing, chosen
+from sim.observers.entry import Observing
 from sim.observers.hall_speed import Edge
 from sim.observers.sample import Sample
 from sim.plant import (
-    coupling,
     current_sensor,
-    dc_link,
     encoder,
     hall_input,
-    hall_sensor,
     hall_wiring,
     integrator,
-    inverter,
     mechanics,
     noise,
-    pmsm,
     warming,
 )
 
@@ -56,7 +48,6 @@ ALWAYS = {AngleSource.VECTOR_TRACKING}  # observers that run in any case
 WARM_UP = 0.1  # s for which an observer runs before the control of a running motor takes its angle
 ENCODER_READING = {"encoder_lines", "encoder_reverse", "encoder_zero"}
 HALL_RING = ("hall_offset", "hall_swap_hat", "hall_invert_hat")
-SHOWN = 0.98  # of the largest speed that the Hall sensors show
 PORTION = 2048  # periods that run at most before the observers do: what they see is still near
 _FASTEST = 1200.0  # rad/s, twice what any parameter allows: so many edges find room
 
@@ -112,7 +103,7 @@ class SimulatedBench:
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
         self._load_state = int(DriveState.IDLE)
         self._reset = False
-        inputs = _input(params)
+        inputs = constants.of_hall_input(params)
         bounces = 1 + 2 * inputs.bounce_returns if any(inputs.bounce) else 1
         edges_per_period = 3 + math.ceil(_FASTEST * params.motor.n_p * 3.0 / math.pi / params.clock.pwm_hz)
         self._edges_per_period = bounces * edges_per_period + 2.0 * inputs.busy / params.clock.pwm_hz  # twice the mean
@@ -190,7 +181,7 @@ class SimulatedBench:
     def _set_constants(self) -> None:
         """Use the bench as it is now, with the faults that are in force."""
         p, hall, faults = self.params, self.params.hall, self.params.faults
-        if (moved := _delta_deg(hall.delta_deg, self.load_parameters)) != hall.delta_deg:
+        if (moved := constants.placed_deg(hall.delta_deg, self.load_parameters)) != hall.delta_deg:
             p = p.replace(hall=hall.replace(delta_deg=moved))  # refused also where faults to come leave no room
         if not self.load_parameters["faults"]:
             faults = faults.without()
@@ -201,7 +192,7 @@ class SimulatedBench:
         special = tick_commission.make_params(drive, p.clock.pwm_hz, self._commissioning, self._angle_set)
         if not special.on:
             self._state.array["firmware"]["commission"] = np.zeros(1, layout(tick_commission.State))
-        self._constants = self._params.first = _make(self._now, drive, self.load_parameters, special)
+        self._constants = self._params.first = constants.of_bench(self._now, drive, self.load_parameters, special)
         self._advance = tick.loop(self._constants)
         self._warm()
 
@@ -218,13 +209,13 @@ class SimulatedBench:
         if not self._warming:
             return
         p, now = self._now, self._warming.factors
-        motor = _motor(p, now)
+        motor = constants.of_motor(p, now)
         plant = self._constants.plant
         decay, half_decay = integrator.decays(motor, plant.decay.h)
         plant = plant._replace(motor=motor, decay=decay, half_decay=half_decay)
         drifted = self._warming.drifted(p.current_sensor.offset, p.current_sensor.gain_error)
         sensor = current_sensor.make_params(**(dict(p.current_sensor) | drifted))
-        hall = _hall(p, self._warming.magnet)
+        hall = constants.of_hall(p, self._warming.magnet)
         self._constants = self._params.first = self._constants._replace(plant=plant, current_sensor=sensor, hall=hall)
 
     def _observe(self, source: int) -> None:
@@ -244,6 +235,7 @@ class SimulatedBench:
         if state == DriveState.ARMED:
             self._reset = True
         if state != DriveState.RUNNING:
+            self._angle_set &= self._drive.state != DriveState.RUNNING
             self._used, self._source_from, self._source_before = set(), 0, self._source
             self._choose()
             if self._commissioning:
@@ -309,11 +301,10 @@ class SimulatedBench:
         if name == "observer":
             self._observe(int(value))
         self._reset |= name in HALL_RING  # what observers remember was in another frame
-        self.parameters[name] = _f32(value)
-        self._commissioning |= name in AT_BOOT and self.outputs_on
-        if name in ("forced", "forced_angle"):
-            goes = self._angle_set or bool(self.parameters["forced_angle"]) or name == "forced_angle"
-            self._angle_set = bool(self.parameters["forced"]) and goes
+        before, self.parameters[name] = self.parameters[name], _f32(value)
+        self._commissioning |= name in AT_BOOT and self.outputs_on and self.parameters[name] != before
+        if name == "forced_angle":  # that it is put back to its default when RUNNING has ended sets nothing
+            self._angle_set = bool(value) or self.outputs_on or before == value
         elif name == "test":
             self._begin_test()
         self._set_params()
@@ -431,63 +422,6 @@ def _command(state: int) -> tick_firmware.Command:
     return tick_firmware.Command(int(state), 0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def _make(
-    p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float], special: tick_commission.Params
-) -> tick.Params:
-    """The kernels' constants for a bench whose firmware has the parameters `drive`, and its load machine `load`."""
-    period = 1.0 / p.clock.pwm_hz
-    shaft_encoder = encoder.make_params(
-        **p.encoder.model_dump(exclude={"present", "index_search", "index_resets", "latency"}),
-        n_p=p.motor.n_p,
-        n_p_hat=drive["n_p"],
-        T_s=period,
-    )._replace(latency=p.encoder.latency, resets=p.encoder.index_resets)
-    shaft_encoder = encoder.read_as(
-        shaft_encoder, drive["encoder_lines"], drive["encoder_reverse"], drive["encoder_zero"]
-    )
-    shaft_encoder = encoder.make_faulty(shaft_encoder, **p.faults.encoder.model_dump(exclude={"slip_at"}))
-    motor = _motor(p)
-    J = p.mechanics.J * (1.0 - p.coupling.load_share) if p.coupling.stiffness else p.mechanics.J
-    return tick.Params(
-        integrator.Params(
-            motor,
-            inverter.make_params(**dict(p.inverter), T_s=period),
-            mechanics.make_params(J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
-            *integrator.decays(motor, period / p.clock.substeps),
-        ),
-        dc_link.make_params(p.inverter.u_dc, **dict(p.dc_link), T_s=period),
-        coupling.make_params(**dict(p.coupling), J=p.mechanics.J, **_some(dict(p.load), "tau_max", "alpha_m_max")),
-        _hall(p),
-        hall_input.make_params(p.clock.tick_hz, p.motor.i_max, _input(p)),
-        hall_wiring.make_params(p.clock.tick_hz, **_some(load, *hall_wiring.PARAMETERS)),
-        mechanics.make_rock(**dict(p.faults.shaft), n_p=p.motor.n_p),
-        hall_map(drive["hall_swap_hat"], drive["hall_invert_hat"]),
-        current_sensor.make_params(**dict(p.current_sensor)),
-        sample.make_params(p.clock.tick_hz, chosen(sample.Settings, drive)),
-        shaft_encoder,
-        p.encoder.present,
-        p.encoder.index_search,
-        tick_firmware.Params(
-            current_loop.make_params(p.clock.pwm_hz, **_some(drive, "bw_current", "R_s_hat", "L_s_hat", "psi_f_hat")),
-            speed_loop.make_params(p.clock.pwm_hz, **_some(drive, "k_p_speed", "k_i_speed", "i_max", "alpha_m_max")),
-            dead_time.make_params(
-                p.clock.pwm_hz,
-                **_some(drive, "dead_time_hat", "dead_time_comp", "dead_time_learn", "L_s_hat", "R_s_hat", "omega_on"),
-            ),
-            _protection(p, drive),
-            special,
-            period,
-            drive["n_p"],
-            ampere(p),
-            1.0 / ampere(p),
-            1.0 - math.exp(-math.tau * drive["bw_omega_lpf"] * period),
-        ),
-        p.clock.period_ticks,
-        p.clock.substeps,
-        period / p.clock.substeps,
-    )
-
-
 def _at(block: NDArray[np.float64]) -> int:
     """`address` of what is not empty, in a quarter of its time."""
     memory: Any = block
@@ -499,49 +433,9 @@ def _copied(records: NDArray[np.void]) -> NDArray[np.void]:
     return np.frombuffer(bytearray(records.tobytes()), records.dtype) if len(records) else records
 
 
-def _hall(p: BenchParams, warmer: float = 0.0) -> hall_sensor.Params:
-    """The constants of the Hall sensors, with the magnet so many K above 20 degrees C."""
-    hall = hall_sensor.make_params(**dict(p.hall), n_p=p.motor.n_p)
-    faults = p.faults.hall
-    drifted = [warmer * drift for drift in faults.drift_deg]
-    return hall_sensor.make_faulty(hall, faults.hysteresis_deg, drifted, dict(p.faults.magnets))
-
-
-def _input(p: BenchParams) -> hall_input.Settings:
-    return hall_input.Settings(**p.faults.hall.model_dump(include=set(hall_input.Settings._fields)))
-
-
 def _sample(at: float, pwm_hz: int) -> int:
     """The first sample at a moment, s since boot, or after it."""
     return math.ceil(at * pwm_hz - 1e-6)
-
-
-def _motor(p: BenchParams, now: warming.Factors = warming.COLD) -> pmsm.Params:
-    """The motor's constants, as warm as it is."""
-    warm = {"R_s": now.R_s * p.motor.R_s, "psi_f": now.psi_f * p.motor.psi_f}
-    return pmsm.make_params(**(p.motor.model_dump(exclude={"i_max"}) | warm))
-
-
-def _protection(p: BenchParams, drive: Mapping[str, float]) -> protection.Params:
-    """The limits of the protection; without an encoder no speed trips that the Hall sensors cannot show."""
-    limits = protection.make_params(p.clock.pwm_hz, drive, bool(p.encoder.present), p.firmware.protection)
-    if p.encoder.present:
-        return limits
-    shown = SHOWN * average_speed.FASTEST * drive["omega_m_max"] * drive["n_p"]
-    return limits._replace(omega_trip=min(limits.omega_trip, shown))
-
-
-def _delta_deg(own: Sequence[float], load: Mapping[str, float]) -> tuple[float, ...]:
-    """Placement of the Hall edges, degrees: the configuration's own figures as long as nobody has moved them."""
-    given = [load[f"hall_delta_{s}"] for s in range(1, 7)]
-    return tuple(
-        delta if moved == _f32(math.radians(delta)) else math.degrees(moved)
-        for delta, moved in zip(own, given, strict=True)
-    )
-
-
-def _some(values: Mapping[str, float], *names: str) -> dict[str, float]:
-    return {name: values[name] for name in names}
 
 
 def _f32(value: float) -> float:

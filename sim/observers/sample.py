@@ -7,7 +7,7 @@ sectors. It estimates nothing itself, and knows no parameter of the motor.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,9 +130,18 @@ class FrontEnd:
 
     def __init__(self, params: Params) -> None:
         self._params, self.state = Cells(Params), Cells(State)
-        self._params.first = params
+        self.params = params
         self._at = self._params.at, self.state.at
         run(*self._at, 0, 0, INIT, 0, 0, 0)
+
+    @property
+    def params(self) -> Any:
+        """Its constants."""
+        return self._params.first
+
+    @params.setter
+    def params(self, params: Any) -> None:
+        self._params.first = params
 
     def run(self, measured: NDArray[np.void], edges: NDArray[np.void], reset: NDArray[np.bool_]) -> NDArray[np.void]:
         """`step` over n samples of one control period each, with `init` before each where `reset`, shape (n,), is set.

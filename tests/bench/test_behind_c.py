@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -12,7 +13,21 @@ from collect import Bench, Collector
 
 from protocol.canmap.frame import BusRates
 from protocol.device.compiled import CompiledLink
-from protocol.messages import EventCode
+from protocol.device.session import DeviceLink
+from protocol.framing import MAJOR, Deframer, Frame, encode_frame, parse_frame
+from protocol.messages import (
+    BlobRead,
+    BlobReply,
+    CaptureReply,
+    CaptureState,
+    CaptureStatus,
+    CaptureTrigger,
+    Command,
+    EventCode,
+    Fault,
+    Request,
+    StateCommand,
+)
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import ByteNetwork, CanNetwork, Network
@@ -59,6 +74,37 @@ def test_the_same_run_over_a_byte_link(in_python: Collector) -> None:
     assert (edges.tick[:100] == others.tick[:100]).all()
     assert (np.diff(edges.index) == 1).all()
     assert (in_c.lost, {event.code for _, event in in_c.events}) == ((0, 0), {EventCode.STATE_CHANGED})
+
+
+def held_after_a_trip(link: DeviceLink | CompiledLink) -> tuple[CaptureReply, bytes]:
+    """What the drive has held unasked, half a second after it was armed and then left alone: the watchdog trips."""
+    device = SimulatedDevice(load_params(), 5, network=ByteNetwork(link))
+    device.advance(6000)
+    boot = device.drive.identity.boot_id
+
+    def ask(message: Request) -> bytes:
+        device.data_to_send()
+        device.receive(encode_frame(Frame(message.TYPE, MAJOR, device.periods % 65535 + 1, 1, message.pack())))
+        device.advance(1)
+        frames = map(parse_frame, Deframer().feed(b"\0" + device.data_to_send()))
+        return next(frame.payload for frame in frames if frame.is_reply)
+
+    ask(StateCommand(Command.ARM, boot))
+    device.advance(8000)
+    status, data = CaptureReply.unpack(ask(CaptureStatus())), b""
+    while len(data) < status.size:
+        data += BlobReply.unpack(ask(BlobRead(1, 1000, len(data)))).data
+    return status, data
+
+
+@needs("C compiler")
+def test_the_same_is_held_after_a_trip() -> None:
+    (ours, in_c), (theirs, in_python) = held_after_a_trip(CompiledLink(1 << 21)), held_after_a_trip(DeviceLink())
+    assert ours == theirs
+    assert in_c == in_python
+    assert (ours.state, ours.trigger, ours.faults) == (CaptureState.FROZEN, CaptureTrigger.FAULT, Fault.WATCHDOG)
+    assert (len(in_c), crc32(in_c)) == (ours.size, ours.crc)
+    assert (ours.first + 1) * ours.decimation / 16_000 >= 0.05
 
 
 @needs("C compiler")

@@ -22,20 +22,8 @@ from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
 COMMANDS = ["live", "view", "mark", "plot", "measure", "compare", "import", "export", "accept", "conform", "response"]
-COMMANDS += [
-    "hall",
-    "replay",
-    "study",
-    "tune",
-    "score",
-    "motor",
-    "sim",
-    "init",
-    "devices",
-    "info",
-    "protocol",
-    "completion",
-]
+COMMANDS += ["hall", "replay", "study", "tune", "score", "motor", "sim", "init", "devices", "info", "param", "protocol"]
+COMMANDS += ["completion"]
 
 
 def test_the_commands_are_these() -> None:

@@ -23,6 +23,7 @@ from bench.compare.compare import Comparison
 from bench.export.export import Exported
 from bench.findings.health import Health
 from bench.measure.measure import Statistics
+from bench.param.table import Parameters
 from bench.plot.plot import Plot
 from bench.rig.drive import Drive
 from bench.rig.loads import Load
@@ -88,7 +89,7 @@ def test_the_page_as_it_is_printed(tmp_path, monkeypatch, capsys) -> None:
 
 
 SIGNATURES = [node for block in re.findall(r"```pyi\n(.*?)```", PAGE, re.DOTALL) for node in ast.parse(block).body]
-CLASSES = (Comparison, Drive, Exported, Health, Load, Played, Plot, Scoreboard, Simulated, Statistics)
+CLASSES = (Comparison, Drive, Exported, Health, Load, Parameters, Played, Plot, Scoreboard, Simulated, Statistics)
 HOMES = {cls.__name__: cls for cls in CLASSES}
 
 

@@ -26,6 +26,7 @@ def test_the_papers_drive_has_none() -> None:
         ({"firmware__L_s_hat": 1e-4}, "firmware.L_s_hat = 0.0001 H, but motor.L_q = 0.000176 H"),
         ({"firmware__psi_f_hat": 4e-3}, "firmware.psi_f_hat = 0.004 V s, but motor.psi_f = 0.00655 V s"),
         ({"firmware__J_hat": 4e-4}, "firmware.J_hat = 0.0004 kg m2, but mechanics.J = 0.0002 kg m2"),
+        ({"firmware__encoder_lines": 900}, "firmware.encoder_lines = 900, but encoder.pulses_per_rev = 3600"),
         ({"load__tau_max": 0.1}, "load.tau_max = 0.1 N m, but the show of bench live brakes with 0.236 N m"),
         ({"firmware__protection__i_trip": 25.0},
          "firmware.protection.i_trip = 25 A is beyond current_sensor.range = 20 A"),

@@ -32,7 +32,7 @@ from bench.accept import (
 )
 from bench.accept.faults import PAIRS, WIRES, HallFaults
 from bench.accept.fixtures import Record
-from bench.accept.suite.common import OVER, SEEN, SLOW, TURNS, Measure, electrical_turn, rpm, speed_rpm
+from bench.accept.suite.common import OVER, SEEN, SLOW, TURNS, Measure, electrical_turn, own_angle, rpm, speed_rpm
 from bench.accept.suite.events import PHASES, current, only, phases, states, tripped
 from bench.accept.suite.tripping import (
     FLOWS,
@@ -290,15 +290,16 @@ def test_trip_hall(
 ) -> None:
     """A Hall wire after the other is broken, or a pair exchanged, while the load machine turns the shaft: HALL.
 
-    At a tenth of the rated speed, exchanged at a third, in both directions, while a current flows. Exchanged wires make
-    a sequence of codes that runs backwards.
+    At a tenth of the rated speed, exchanged at a third, in both directions, while a current flows along the angle that
+    the drive has by the Hall sensors: one that does not use them need not trip. Exchanged wires make a sequence of
+    codes that runs backwards.
     """
     put_in = {"open": hall_faults.open, "shorted": hall_faults.short, "exchanged": hall_faults.swap}[kind]
     what, share, _ = WRONG[kind]
     seen = SEEN if kind == "exchanged" else 0.0  # the back-EMF tells that the sequence runs backwards
     speed, i_d = speed_rpm(drive, rated, share, seen), -FLOWS * rated.current
     trips: list[Trip] = []
-    drive.start(angle_source(drive))
+    drive.start(own_angle(drive))
     for way, sign in WAYS["speed"].items():
         turn(drive, record, rated, sign * speed)
         for n, which in enumerate(what):
