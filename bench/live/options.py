@@ -95,7 +95,7 @@ class LiveOptions:
         sets = {} if source is None else {"observer": float(source)}
         if self.profile is not None:
             first, *others = self.profile.steps
-            profile = replace(self.profile, steps=(replace(first, sets=sets | dict(first.sets)), *others))
+            profile = replace(self.profile, steps=(replace(first, sets=dict(first.sets) | sets), *others))
             if self.duration is not None and self.duration > profile.seconds:
                 deque(profile.timed(2.0 * profile.seconds), 0)  # whether its first step can follow its last one
             return profile

@@ -430,7 +430,8 @@ def test_parameters_are_those_of_the_step_and_as_before_at_the_end() -> None:
 def test_the_angle_source_of_the_command_line_is_there_from_the_beginning() -> None:
     sources: list[float] = []
     link = WatchedLink(simulated(), lambda call: sources.append(link.device.bench.parameters["observer"]))
-    data = {"steps": [{"speed_rpm": 300, "for_s": 0.2}, {"for_s": 0.2, "observer": "encoder"}]}
+    first = {"speed_rpm": 300, "for_s": 0.2, "observer": "sector-centre"}  # the command line goes before it
+    data = {"steps": [first, {"for_s": 0.2, "observer": "encoder"}]}
     assert live(link, data, observer="average-speed").exit_code == 0
     assert list(dict.fromkeys(sources)) == [2.0, 1.0, 0.0]
     assert sources[-1] == 2.0
