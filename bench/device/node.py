@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import NoReturn
@@ -21,6 +21,7 @@ from bench.device.blob import DESCRIPTOR, MEANINGS, WAVEFORM, part_bytes, read_p
 from bench.device.client import WATCHDOG, Client
 from bench.device.heard import ParameterSet
 from bench.device.safety import HEARTBEATS, Vigil, heard, says, switch_off, why_unfed, without_watchdog
+from bench.device.under_way import TRIES, WAIT, UnderWay
 from bench.errors import DoesNotFit, DriveFailed, NodeError, OutputsMayBeOn
 from protocol.canmap.host import CanWire
 from protocol.canmap.layout import EDGES_PER_SECOND, edge_load
@@ -86,6 +87,10 @@ class ClockFit:
         """Host time in s of a device tick."""
         return self.host + (tick - self.tick) / self.tick_hz
 
+    def device_tick(self, host: float) -> int:
+        """Device tick at a host time in s."""
+        return round(self.tick + (host - self.host) * self.tick_hz)
+
 
 class Node:
     """Device number `number` on `client`'s link."""
@@ -99,6 +104,8 @@ class Node:
         self._descriptor: Descriptor | None = None
         self._streams: dict[int, StreamSet] = {}
         self._vigil: Vigil | None = None  # while it should run
+        self._counter: int | None = None  # of the last setpoint
+        self._under_way: UnderWay | None = None  # setpoints that are not waited for
         self.stopped_for = ""
         """Why it is stopped, for OutputsMayBeOn to name; until it is off."""
         self.load = 0.0
@@ -436,20 +443,23 @@ class Node:
     ) -> None:
         """Send a setpoint until a heartbeat confirms it, or `unless()` holds, which is asked meanwhile.
 
-        NodeError if it is rejected, NoReply if it is not confirmed.
+        NodeError if it is rejected, NoReply if it is not confirmed. Within `unwaited` it is sent, and that is all.
         """
-        for _ in range(3):
-            heartbeat = self.client.heartbeats.get(self.number) or self.next_heartbeat()
-            counter = (heartbeat.setpoint_counter if heartbeat else 0) % 0xFFFF + 1  # not an earlier host's
+        if self._under_way is not None:
+            self._under_way.send(self._next_setpoint(mode, value, value2))
+            return
+        for _ in range(TRIES):
+            setpoint = self._next_setpoint(mode, value, value2)
+            heartbeat = self.client.heartbeats.get(self.number)
             rejected = heartbeat.setpoints_rejected if heartbeat else 0
             self.client.rejections.pop(self.number, None)
-            self.client.session.send(Setpoint(mode, counter, value, value2), self.number)  # a heartbeat tells its fate
+            self.client.session.send(setpoint, self.number)  # a heartbeat tells its fate
 
-            def answered(counter: int = counter, rejected: int = rejected) -> bool:
+            def answered(counter: int = setpoint.counter, rejected: int = rejected) -> bool:
                 now = self.client.heartbeats.get(self.number)
                 return now is not None and (now.setpoint_counter == counter or now.setpoints_rejected != rejected)
 
-            if self.client.wait(lambda: unless() or answered(), 0.35):
+            if self.client.wait(lambda: unless() or answered(), WAIT):
                 if not answered():
                     return
                 confirmed = self.client.heartbeats[self.number]
@@ -457,17 +467,42 @@ class Node:
                     self.stop()
                     self.client.listen(self.number)
                     raise DriveFailed(f"node {self.number} has rebooted")
-                if confirmed.setpoint_counter == counter:
+                if confirmed.setpoint_counter == setpoint.counter:
                     return
-                if self._vigil is not None and (why := self._vigil.not_running(confirmed)):
-                    raise DriveFailed(f"node {self.number} {why}")
-                if tripped := self._tripped(confirmed):
-                    raise NodeError(f"node {self.number} took no setpoint, because {tripped}")
-                raise NodeError(
-                    f"node {self.number} rejected the setpoint {mode.name} {value:g}: {self._why_rejected()} "
-                    f"(state {confirmed.state.name}, faults: {self.fault_text()})"
-                )
-        raise NoReply(f"node {self.number} on {self.client.link.name} confirmed no setpoint in 3 tries")
+                raise self._rejection(confirmed, setpoint)
+        raise NoReply(f"node {self.number} on {self.client.link.name} confirmed no setpoint in {TRIES} tries")
+
+    @contextmanager
+    def unwaited(self) -> Iterator[None]:
+        """Within this, setpoints are not waited for: `watch_setpoints`, in every turn, sees what became of them."""
+        self._under_way = UnderWay(self.client, self.number, self._rejection)
+        try:
+            yield
+        finally:
+            self._under_way = None
+
+    def watch_setpoints(self) -> None:
+        """Within `unwaited`: see by its heartbeats what became of setpoints. Raises as `setpoint` does."""
+        if self._under_way is not None:
+            self._under_way.watch(self.setpoint)
+
+    def _next_setpoint(self, mode: SetpointMode, value: float, value2: float) -> Setpoint:
+        """One with a counter that the heartbeats do not tell yet, nor told of an earlier host."""
+        heartbeat = self.client.heartbeats.get(self.number) or self.next_heartbeat()
+        before = self._counter if self._counter is not None else heartbeat.setpoint_counter if heartbeat else 0
+        self._counter = before % 0xFFFF + 1
+        return Setpoint(mode, self._counter, value, value2)
+
+    def _rejection(self, heartbeat: Heartbeat, setpoint: Setpoint) -> NodeError:
+        """The error of a setpoint that was rejected, as this heartbeat tells."""
+        if self._vigil is not None and (why := self._vigil.not_running(heartbeat)):
+            return DriveFailed(f"node {self.number} {why}")
+        if tripped := self._tripped(heartbeat):
+            return NodeError(f"node {self.number} took no setpoint, because {tripped}")
+        return NodeError(
+            f"node {self.number} rejected the setpoint {setpoint.mode.name} {setpoint.value:g}: {self._why_rejected()} "
+            f"(state {heartbeat.state.name}, faults: {self.fault_text()})"
+        )
 
     def _why_rejected(self) -> str:
         event = self.client.rejections.get(self.number)

@@ -286,9 +286,9 @@ def asked_rows(summary: Summary) -> list[list[str]]:
     return [
         [
             came.title,
-            f"{came.speed_asked_rpm:g}",
+            number(came.speed_asked_rpm, "g"),
             number(came.speed_came_rpm, ".1f", "unknown"),
-            f"{came.load_asked_a:g}",
+            number(came.load_asked_a, ".4g"),
             number(came.i_q_came_a, ".2f", "unknown"),
         ]
         for came in summary.asked

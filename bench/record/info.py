@@ -52,6 +52,8 @@ class Mark:
     """None of one that somebody has set by hand."""
     asked: str | None = None
     """The number under which another terminal has asked for it."""
+    routine: bool = False
+    """Whether it comes again and again, as steps of a profile do: a ring keeps nothing for it."""
 
     def __post_init__(self) -> None:
         if self.last_tick < self.first_tick:

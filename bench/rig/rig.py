@@ -9,13 +9,13 @@ waits without polling: what turns is watched, and its watchdog fed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from bench.capture.memory import CaptureMemory
 from bench.capture.trigger import Trigger
@@ -25,9 +25,11 @@ from bench.device.heard import Changes, Sink
 from bench.device.node import ClockFit, Node
 from bench.device.safety import is_off, says
 from bench.errors import BenchError, DriveFailed, OutputsMayBeOn, SeveralDevices
+from bench.motion.profile import Profile
+from bench.motion.read import read_profile
 from bench.record.info import RunInfo
 from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
-from bench.rig.drive import Drive, DriveTripped
+from bench.rig.drive import OBSERVER, Drive, DriveTripped
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import FirstSignal, undisturbed
 from bench.rig.loads import Load, NodeLoad, NoLoad, OwnLoads, PersonLoad
@@ -36,6 +38,9 @@ from bench.rig.metadata import changed_keys, run_info
 from bench.rig.needs import NEEDS, require
 from bench.rig.outputs import Outputs, Recording
 from bench.rig.person import Ask
+from bench.rig.play import Player
+from bench.rig.played import Played, Span
+from bench.rig.profile import check_profile, start_for
 from bench.rig.quality import ParameterValue, Quality
 from bench.rig.recorder import Recorder
 from bench.rig.rest import require_rest
@@ -122,7 +127,7 @@ class Rig:
         self.signal = FirstSignal()
         """That came to a run that goes on, or to the end of any."""
         self.clock: ClockFit | None = None
-        """Of this boot of the drive, in a run that goes on."""
+        """Of this boot of the drive, in a run that goes on, and while a profile is played."""
         self._next_clock = 0.0
         self._rebooted: set[int] = set()
         self._prepared = False
@@ -445,7 +450,36 @@ class Rig:
 
     def until(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Go on until `condition()` holds; False when it does not within `timeout` s. Raises DriveTripped."""
-        return self.client.wait(condition, timeout, self._poll)
+        return self.client.wait(condition, timeout, self.turn)
+
+    def play(self, profile: Profile | Mapping[str, Any] | str | Path) -> Played:
+        """Play a motion profile: the path of its TOML, what that says as a mapping, or as `read_profile` gives it.
+
+        All of it is checked before anything turns; then the drive is started, if it is off. At the end parameters but
+        the angle source are as they were, and the drive goes on with what the last step asked for. Raises BenchError
+        for what the profile, the drive or what was announced do not allow, and DriveTripped.
+        """
+        asked = profile if isinstance(profile, Profile) else read_profile(profile)
+        for words in check_profile(asked, self.drive, self.load):
+            self.note(words, "WARN")
+        changed = {name for act in asked.acts for name in act.sets} - {
+            OBSERVER
+        }  # a running motor keeps its angle source
+        before = {name: self.drive.parameters[name] for name in sorted(changed)}
+        start_for(asked, self.drive, self.load)
+        spans: list[Span] = []
+
+        def marked(span: Span) -> None:
+            spans.append(span)
+            self.mark_step(span)
+
+        first = self.tick()
+        Player(self, asked.max_speed, lambda act: self.note(act.title), marked).play(asked.acts)
+        for name, value in before.items():
+            self.drive.set(name, value)
+        last = max(self.tick(), *(span.last for span in spans))
+        self.until(lambda: self.recorder.newest >= last or self._silent(first), LATE)
+        return Played(self.between(first, last), tuple(spans))
 
     def record(self, seconds: float) -> Capture:
         """The next `seconds` of device time. Raises DriveTripped, and BenchError when no samples come.
@@ -481,6 +515,21 @@ class Rig:
                 held.end(stretch.first, stretch.last, self.drive.parameters)
         if self.recorder.newest < stretch.last:
             self.until(lambda: self.recorder.newest >= stretch.last, LATE)
+
+    def see_clock(self) -> None:
+        """Look at the drive's clock, unless that was done in the last moment. Raises HbpError."""
+        if self.clock is None or self.client.now() - self.clock.host > CLOCK_PERIOD:
+            self.clock = self.drive.node.clock_fit(1)
+
+    def device_tick(self, host: float) -> int | None:
+        """The device's tick at `host` s of the link's clock, by the last look at its clock; None before the first."""
+        return None if self.clock is None else self.clock.device_tick(host)
+
+    def gave_up(self, error: BenchError | HbpError) -> None:
+        """What is asked of the motor cannot be had: it is let go in a run that goes on, and `error` is raised else."""
+        if not self.plan.goes_on:
+            raise error
+        self.let_go(str(error))
 
     def capture(
         self,
@@ -550,7 +599,7 @@ class Rig:
                 if self.plan.virtual:
                     continue
                 if self._failures is None:
-                    self._poll(POLL)
+                    self.turn(POLL)
                 else:
                     self._turn(POLL)  # whatever the drive has, it is off
 
@@ -559,13 +608,14 @@ class Rig:
         fit = self.client.heartbeats.get(self.drive.node.number)
         return fit is not None and (fit.tick - newest) / self.recorder.tick_hz > SILENCE
 
-    def _turn(self, timeout: float) -> None:
-        self.client.poll(timeout)
+    def _turn(self, timeout: float, collect: bool = True) -> None:
+        self.client.poll(timeout, collect)
         for other in self.client.beside:
             other.poll(0.0)
 
-    def _poll(self, timeout: float) -> None:
-        self._turn(timeout)
+    def turn(self, timeout: float, collect: bool = True) -> None:
+        """One turn of the link, see `Client.poll`. Raises DriveTripped."""
+        self._turn(timeout, collect)
         if self.outputs is not None:
             for text, level in self.outputs.news():
                 self.client.note(text, level)
@@ -710,6 +760,11 @@ class Rig:
         if self.outputs is not None:
             first, last = (round(t * self.recorder.tick_hz) for t in span)
             self.outputs.mark(name, first, last, verdict)
+
+    def mark_step(self, span: Span) -> None:
+        """Show in the recording when a step of a profile was."""
+        if self.outputs is not None:
+            self.outputs.mark(*span, routine=True)
 
     def note(self, text: str, level: str = "INFO") -> None:
         """A line in the log of recording and dashboard."""
