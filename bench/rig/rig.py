@@ -462,9 +462,8 @@ class Rig:
         asked = profile if isinstance(profile, Profile) else read_profile(profile)
         for words in check_profile(asked, self.drive, self.load):
             self.note(words, "WARN")
-        changed = {name for act in asked.acts for name in act.sets} - {
-            OBSERVER
-        }  # a running motor keeps its angle source
+        changed = {name for act in asked.acts for name in act.sets}
+        changed.discard(OBSERVER)  # a running motor keeps its angle source
         before = {name: self.drive.parameters[name] for name in sorted(changed)}
         start_for(asked, self.drive, self.load)
         spans: list[Span] = []
