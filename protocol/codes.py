@@ -39,12 +39,15 @@ class MessageType(OpenEnum, word="type"):
     PARAM_GET = 0x11
     PARAM_SET = 0x12
     PARAM_COMMIT = 0x13
+    BLOB_WRITE = 0x14
     STATE_CMD = 0x20
     SETPOINT = 0x21
     STREAM_SET = 0x30
     STREAM_START = 0x31
     STREAM_STOP = 0x32
     STREAM_GET = 0x33
+    CAPTURE_ARM = 0x38
+    CAPTURE_STATUS = 0x39
     DATA = 0x40
     EDGES = 0x41
     EVENT = 0x42
@@ -71,6 +74,7 @@ class Fault(IntFlag):
     OVERVOLTAGE = 16  # DC link too high
     HALL = 32  # illegal codes or sequences from the Hall sensors
     INTERNAL = 64  # the firmware's own
+    OVERLOAD = 128  # more current for longer than the winding bears
 
 
 def fault_names(faults: int) -> list[str]:
@@ -94,6 +98,7 @@ class SetpointMode(OpenEnum, word="mode"):
     SPEED = 1  # value: mechanical rad/s
     CURRENT = 2  # value: i_q in A, value2: i_d in A
     TORQUE = 3  # value: N·m (a load machine)
+    VOLTAGE = 4  # value: u_q in V, value2: u_d in V (chapter 20)
 
 
 class StreamEvent(OpenEnum, word="event"):
@@ -102,6 +107,7 @@ class StreamEvent(OpenEnum, word="event"):
     PWM = 0  # a sample of the chosen channels every `decimation` PWM periods
     SLOW = 1  # reserved for a task slower than the PWM
     EDGES = 2  # every Hall edge
+    MEAN = 3  # the mean of the chosen channels over every `decimation` PWM periods
 
 
 class Role(OpenEnum, word="role"):
@@ -117,6 +123,48 @@ class Feature(IntFlag):
     EDGES = 1  # timestamped Hall edges can be streamed
     COMMIT = 2  # parameters can be stored for the next boot
     SIMULATED = 4  # no hardware moves
+    CAPTURE = 8  # samples are held in the device's memory and frozen by a trigger (chapter 19)
+    COMMISSION = 16  # modes without a sensor, and test signals (chapter 20)
+    MEANINGS = 32  # blob 3 tells what parameters and channels mean
+    WAVEFORM = 64  # blob 4 takes the samples of a test signal (chapter 20)
+    MEANS = 128  # the stream event MEAN
+
+
+class CaptureTrigger(OpenEnum, word="trigger"):
+    """What freezes a capture."""
+
+    OFF = 0  # nothing: what is held is given up
+    NOW = 1  # the request itself
+    ABOVE = 2  # the channel is above `level`
+    BELOW = 3  # the channel is below `level`
+    RISES = 4  # the channel was not above `level` in the period before, and is now
+    FALLS = 5  # the channel was not below `level` in the period before, and is now
+    CHANGES = 6  # the channel has another raw value than in the period before
+    FAULT = 7  # a fault adds a bit to `faults`
+    STATE = 8  # the state changes
+    ILLEGAL = 9  # a Hall edge has the bit illegal
+    PULSE = 10  # a Hall edge takes back the edge before it, within `level` seconds
+
+
+class CaptureState(OpenEnum, word="capture state"):
+    """Where a capture is."""
+
+    OFF = 0  # the device holds nothing and waits for nothing
+    ARMED = 1  # samples are taken, the trigger is awaited
+    TRIGGERED = 2  # the trigger has come, samples after it are still taken
+    FROZEN = 3  # the capture is complete, and blob 1 is it
+
+
+class TestSignal(OpenEnum, word="test signal"):
+    """Values of the parameter `test`: what the test signal is added to."""
+
+    __test__ = False  # pytest: this is no test
+    OFF = 0
+    U_D = 1  # the d voltage, after the loop
+    U_Q = 2  # the q voltage, after the loop
+    I_D = 3  # the reference of the d current
+    I_Q = 4  # the reference of the q current
+    SPEED = 5  # the reference of the speed, after the ramp
 
 
 class ErrorCode(OpenEnum, word="error"):
@@ -147,3 +195,5 @@ class EventCode(OpenEnum, word="event"):
     FAULT = 2  # arg: the bits that were added
     SETPOINT_REJECTED = 3  # arg: the ErrorCode
     ARM_LAPSED = 4  # arg: seconds that ARMED lasts
+    PARAM_CHANGED = 5  # arg: the parameter's id
+    CAPTURED = 6  # arg: the number of the capture that is now FROZEN

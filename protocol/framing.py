@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 from protocol.errors import LocalProtocolError
 
 MAJOR = 1  # of the protocol; in bits 0-3 of every frame's flags
-MINOR = 0
+MINOR = 1
 REPLY = 0x10  # flag: answers the request with the same tid
 ERROR = 0x20  # flag, with REPLY: the answer is an ErrorReply
 

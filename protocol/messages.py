@@ -14,6 +14,8 @@ from dataclasses import astuple
 from typing import Annotated, Self
 
 from protocol.codes import (
+    CaptureState,
+    CaptureTrigger,
     Command,
     DriveState,
     ErrorCode,
@@ -30,7 +32,8 @@ from protocol.payload import Message, Payload, PayloadError, Request, text_to_wi
 from protocol.text import printable
 
 __all__ = [
-    "Alive", "BlobRead", "BlobReply", "Command", "DeviceEvent", "DriveState", "Empty", "ErrorCode",
+    "Alive", "BlobRead", "BlobReply", "BlobWrite", "CaptureArm", "CaptureReply", "CaptureState", "CaptureStatus",
+    "CaptureTrigger", "Command", "DeviceEvent", "DriveState", "Empty", "ErrorCode",
     "ErrorReply", "EventCode", "Fault", "Feature", "Heartbeat", "Hello", "HelloReply", "Log", "Message",
     "MessageType", "ParamCommit", "ParamGet", "ParamReply", "ParamSet", "ParamStored", "Payload",
     "PayloadError", "REPLIES", "REQUESTS", "Request", "Role", "Setpoint", "SetpointMode", "StateCommand",
@@ -163,6 +166,28 @@ class BlobReply(Message, type=MessageType.BLOB_READ, layout="BxHII"):
         data = payload[cls.FIXED_BYTES :]
         if len(data) != values["length"]:
             raise PayloadError(f"BlobReply with {len(data)} bytes, says {values['length']}", bad_length=True)
+        return cls(**values, data=data)
+
+
+class BlobWrite(Request, type=MessageType.BLOB_WRITE, layout="BxHI"):
+    """Writes bytes of a blob that can be written, from `offset` on; blob 4 is the waveform of the test signal."""
+
+    id: int
+    length: int
+    offset: int
+    data: bytes = b""
+
+    def pack(self) -> bytes:
+        """Return the payload."""
+        return self._pack_fixed([self.id, self.length, self.offset]) + self.data
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Return the message; PayloadError if `length` bytes are not there."""
+        values = cls._unpack_fixed(payload)
+        data = payload[cls.FIXED_BYTES :]
+        if len(data) != values["length"]:
+            raise PayloadError(f"BlobWrite with {len(data)} bytes, says {values['length']}", bad_length=True)
         return cls(**values, data=data)
 
 
@@ -304,6 +329,57 @@ class StreamInfo(_WithChannels, Message, type=MessageType.STREAM_GET, layout="BB
     channels: tuple[int, ...] = ()
 
 
+class CaptureArm(_WithChannels, Request, type=MessageType.CAPTURE_ARM, layout="BBHIIfHHH"):
+    """Gives up what is held and takes samples until `trigger`; see chapter 19 of SPEC.md.
+
+    `before`, `after`: records before the trigger's, and from it on. `channel` and `level` (in its unit, or s) are the
+    trigger's. `edges`: Hall edges that are held at most.
+    """
+
+    trigger: CaptureTrigger
+    flags: int = 0
+    decimation: int = 1
+    before: int = 0
+    after: int = 1
+    level: float = 0.0
+    channel: int = 0
+    edges: int = 0
+    channels: tuple[int, ...] = ()
+
+
+class CaptureStatus(Request, type=MessageType.CAPTURE_STATUS):
+    """Asks where the capture is."""
+
+
+class CaptureReply(_WithChannels, Message, type=MessageType.CAPTURE_STATUS, layout="BBHHHIIIIIIIIIIQIIH"):
+    """Where the capture is. All but `state`, `trigger` and `number` describe blob 1, once it is FROZEN.
+
+    `before`, `after`: as armed; `first`: records of blob 1 before the trigger's; `records`, `edges`: how many it has;
+    `edges_lost`: edges of its time that found no room; `first_edge`: number of its first edge since boot; `size`,
+    `crc`: of blob 1; `room`: bytes of memory; `index`, `tick`: of the trigger's record; `faults`: at the trigger.
+    """
+
+    state: CaptureState
+    trigger: CaptureTrigger
+    number: int
+    decimation: int
+    sample_bytes: int
+    before: int
+    after: int
+    first: int
+    records: int
+    edges: int
+    edges_lost: int
+    first_edge: int
+    size: int
+    crc: int
+    room: int
+    tick: Tick
+    index: int
+    faults: Fault
+    channels: tuple[int, ...] = ()
+
+
 class Empty(Payload):
     """The reply that says no more than "done"."""
 
@@ -359,17 +435,20 @@ class Log(Message, type=MessageType.LOG, layout="B"):
 REQUESTS: dict[int, type[Request]] = {
     cls.TYPE: cls
     for cls in (
-        Hello, TimeSync, Alive, BlobRead, ParamGet, ParamSet, ParamCommit,
-        StateCommand, Setpoint, StreamSet, StreamStart, StreamStop, StreamGet,
+        Hello, TimeSync, Alive, BlobRead, BlobWrite, ParamGet, ParamSet, ParamCommit,
+        StateCommand, Setpoint, StreamSet, StreamStart, StreamStop, StreamGet, CaptureArm, CaptureStatus,
     )
 }  # fmt: skip
 UNACKNOWLEDGED = frozenset({MessageType.ALIVE, MessageType.SETPOINT})
 
 _ANSWERS = (
-    HelloReply, TimeSyncReply, BlobReply, ParamReply, ParamStored, StateReply, StreamReply, StreamInfo,
+    HelloReply, TimeSyncReply, BlobReply, ParamReply, ParamStored, StateReply, StreamReply, StreamInfo, CaptureReply,
 )  # fmt: skip
 REPLIES: dict[int, type[Payload]] = {
     **{cls.TYPE: cls for cls in _ANSWERS},
-    **dict.fromkeys((MessageType.PARAM_COMMIT, MessageType.STREAM_START, MessageType.STREAM_STOP), Empty),
+    MessageType.CAPTURE_ARM: CaptureReply,
+    **dict.fromkeys(
+        (MessageType.PARAM_COMMIT, MessageType.BLOB_WRITE, MessageType.STREAM_START, MessageType.STREAM_STOP), Empty
+    ),
 }
 UNSOLICITED: dict[int, type[Message]] = {cls.TYPE: cls for cls in (Heartbeat, DeviceEvent, Log)}

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Self, cast
 
-from protocol.codes import OpenEnum
+from protocol.codes import OpenEnum, TestSignal
 
 
 class RawType(IntEnum):
@@ -71,6 +71,7 @@ class Unit(OpenEnum, word="unit"):
     A_PER_RAD = 18, "A/rad"
     DEG_C = 19, "°C"
     W = 20, "W"
+    A2S = 21, "A²·s"
 
     @property
     def symbol(self) -> str:
@@ -91,6 +92,11 @@ class Flag(IntFlag):
     IDLE_ONLY = 128  # a parameter that can be set only while the outputs are off
     WHOLE = 256  # a parameter that takes whole numbers only
     ON_REQUEST = 512  # a channel that is streamed only where it is asked for by name
+    IDENTITY = 1024  # a parameter that tells which kind of motor this is
+    CALIBRATION = 2048  # a parameter that goes with this very motor, its sensors and their mounting
+    TUNING = 4096  # a parameter of taste: gains, filters, choices
+    LIMITS = 8192  # a parameter that protects
+    VOLATILE = 16384  # a parameter that is at its default at boot and whenever RUNNING has ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +131,7 @@ class Status(IntFlag):
 
     OBSERVERS_RESET = 1 << 3  # the observers were initialised in this period
     CORRECTION_ON = 1 << 4  # the vector-tracking observer's back-EMF correction is at work
-    INJECTION_SYNC = 1 << 7  # the injected sine has completed a cycle; in the first sample its phase is 0
+    INJECTION_SYNC = 1 << 7  # the injected sine or the test signal begins a cycle with this sample
 
 
 STATUS_STATE_MASK = 0x07
@@ -272,6 +278,7 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
     _on_request(47, "lesson_ek", Unit.NONE, 1.0, _LESSON, RawType.U8),
     _on_request(48, "lesson_value_ek", Unit.NONE, 1.0, _LESSON_VALUE, RawType.F32),
     _on_request(49, "lesson_sigma_ek", Unit.NONE, 1.0, "standard deviation of lesson_value_ek", RawType.F32),
+    _channel(50, "theta_ctrl", Unit.RAD, ANGLE, "electrical angle that the control used", Flag.ON_REQUEST | Flag.WRAPS),
 )
 
 LESSONS = (
@@ -289,63 +296,247 @@ LOAD_CHANNELS: tuple[Signal, ...] = (
 _P = Flag.PARAMETER
 _PI = Flag.PARAMETER | Flag.IDLE_ONLY
 _PW = Flag.PARAMETER | Flag.WHOLE
+_IDENTITY, _CALIBRATION, _TUNING, _LIMITS = Flag.IDENTITY, Flag.CALIBRATION, Flag.TUNING, Flag.LIMITS
+_TEST = Flag.PARAMETER | Flag.VOLATILE
 
 
-def _by_sector(id: int, short: str, about: str) -> tuple[Parameter, ...]:
+def _by_sector(id: int, short: str, about: str, flags: Flag) -> tuple[Parameter, ...]:
     """Angles of the six Hall edges, from parameter `id` on."""
     return tuple(
-        Parameter(id + k, f"{short}_{k + 1}", Unit.RAD, -0.506, 0.506, _P, f"{about} {k + 1}") for k in range(6)
+        Parameter(id + k, f"{short}_{k + 1}", Unit.RAD, -0.506, 0.506, flags, f"{about} {k + 1}") for k in range(6)
     )
 
 
 DRIVE_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter(101, "n_p", Unit.NONE, 1, 64, _PI | Flag.WHOLE, "pole pairs"),
-    Parameter(102, "R_s_hat", Unit.OHM, 1e-4, 1e2, _P, "stator resistance that the firmware assumes"),
-    Parameter(103, "L_s_hat", Unit.H, 1e-6, 1.0, _P, "stator inductance that the firmware assumes"),
-    Parameter(104, "psi_f_hat", Unit.VS, 1e-5, 10.0, _P, "rotor flux linkage that the firmware assumes"),
-    Parameter(105, "i_max", Unit.A, 0.0, 200.0, _PI, "largest current reference"),
-    Parameter(106, "omega_m_max", Unit.RAD_PER_S, 0.0, 600.0, _PI, "largest mechanical speed reference"),
-    Parameter(107, "alpha_m_max", Unit.RAD_PER_S2, 1.0, 1e5, _P, "largest ramp of the mechanical speed reference"),
-    Parameter(108, "observer", Unit.NONE, 0, max(AngleSource), _PW, "angle source of the control (see AngleSource)"),
-    Parameter(109, "load_angle_comp", Unit.NONE, 0, 1, _PW, "load-angle compensation (18)-(19): 0 off, 1 on"),
-    Parameter(110, "k_p_vt", Unit.PER_S, 0.0, 1e5, _P, "vector tracking: proportional gain k_p of (9)"),
-    Parameter(111, "k_i_vt", Unit.NONE, 0.0, 1e9, _P, "vector tracking: integral gain k_i of (9), 1/s²"),
-    Parameter(112, "tau_max", Unit.S, 0.0, 0.1, _P, "vector tracking: largest tau of the back-EMF filter (6)"),
-    Parameter(113, "omega_on", Unit.RAD_PER_S, 0, 1e4, _P, "average speed (electrical) above which correction starts"),
-    Parameter(114, "omega_off", Unit.RAD_PER_S, 0, 1e4, _P, "average speed (electrical) below which correction stops"),
-    Parameter(115, "k_pc", Unit.RAD_PER_A, -10.0, 10.0, _P, "load angle: proportional gain k_pc of (18)"),
-    Parameter(116, "k_ic", Unit.RAD_PER_AS, -1e3, 1e3, _P, "load angle: integral gain k_ic of (18)"),
-    Parameter(117, "literal_sgn", Unit.NONE, 0, 1, _PW, "1 = sgn() of (9) uses the corrected speed, as printed"),
-    Parameter(118, "hall_timeout", Unit.S, 1e-3, 10.0, _P, "time without an edge after which omega_h is zero"),
-    Parameter(119, "bw_omega_lpf", Unit.HZ, 1.0, 8e3, _P, "cut-off of the filter on the estimated speed"),
-    Parameter(120, "bw_current", Unit.HZ, 1.0, 4e3, _P, "bandwidth of the current loop"),
-    Parameter(121, "k_p_speed", Unit.A_S_PER_RAD, 0.0, 1e3, _P, "speed loop: proportional gain, by mechanical speed"),
-    Parameter(122, "k_i_speed", Unit.A_PER_RAD, 0.0, 1e5, _P, "speed loop: integral gain"),
-    Parameter(123, "dead_time_hat", Unit.S, 0.0, 1e-5, _P, "dead time that the compensation assumes"),
-    Parameter(124, "dead_time_comp", Unit.NONE, 0.0, 1.5, _P, "share of the dead-time error that is compensated"),
-    Parameter(125, "watchdog", Unit.S, 0.05, 1.0, _PI, "time without ALIVE or SETPOINT after which the outputs go off"),
-    Parameter(126, "inject", Unit.NONE, 0, 2, _PW, "test sine: 0 off, 1 on the angle of theta*, 2 on that of theta_h"),
-    Parameter(127, "inject_amplitude", Unit.RAD, 0.0, 0.5, _P, "amplitude of the test sine"),
-    Parameter(128, "inject_hz", Unit.HZ, 0.0, 4e3, _P, "frequency of the test sine"),
-    Parameter(129, "i_range", Unit.A, 0.0, 1e4, _P | Flag.READ_ONLY, "full scale of the current sensors, + and -"),
-    *_by_sector(130, "edge_up", "edge passed forward: ideal minus actual angle, at the start of sector"),
-    *_by_sector(136, "edge_down", "edge passed in reverse: ideal minus actual angle, at the start of sector"),
-    Parameter(142, "J_hat", Unit.KGM2, 1e-8, 10.0, _P, "inertia of the whole shaft that the firmware assumes"),
-    Parameter(143, "bw_hall_vector", Unit.HZ, 0.0, 1e3, _P, "bandwidth of the observers on the Hall vector"),
-    Parameter(144, "learn_edges", Unit.NONE, 0, 1, _PW, "Kalman filter on Hall edges: 0 keep what it learned, 1 learn"),
-    Parameter(145, "i_trip", Unit.A, 0.0, 1e3, _P, "phase current above which the drive trips: OVERCURRENT"),
+    Parameter(101, "n_p", Unit.NONE, 1, 64, _PI | Flag.WHOLE | _IDENTITY, "pole pairs"),
+    Parameter(102, "R_s_hat", Unit.OHM, 1e-4, 1e2, _P | _IDENTITY, "stator resistance that the firmware assumes"),
+    Parameter(103, "L_s_hat", Unit.H, 1e-6, 1.0, _P | _IDENTITY, "stator inductance that the firmware assumes"),
+    Parameter(104, "psi_f_hat", Unit.VS, 1e-5, 10.0, _P | _IDENTITY, "rotor flux linkage that the firmware assumes"),
+    Parameter(105, "i_max", Unit.A, 0.0, 200.0, _PI | _LIMITS, "largest current reference"),
+    Parameter(106, "omega_m_max", Unit.RAD_PER_S, 0.0, 600.0, _PI | _LIMITS, "largest mechanical speed reference"),
     Parameter(
-        146, "omega_m_trip", Unit.RAD_PER_S, 0.0, 1e4, _P, "mechanical speed above which the drive trips: OVERSPEED"
+        107, "alpha_m_max", Unit.RAD_PER_S2, 1.0, 1e5, _P | _LIMITS, "largest ramp of the mechanical speed reference"
     ),
-    Parameter(147, "u_dc_min", Unit.V, 0.0, 1e3, _P, "DC link voltage below which the drive trips: UNDERVOLTAGE"),
-    Parameter(148, "u_dc_max", Unit.V, 0.0, 1e3, _P, "DC link voltage above which the drive trips: OVERVOLTAGE"),
-    Parameter(149, "dead_time_learn", Unit.NONE, 0, 1, _PW, "1 = learn and compensate what these two leave"),
-    Parameter(150, "edge_sd", Unit.RAD, 0.0, 0.5, _P, "standard deviation common to all edges of one direction"),
-    Parameter(151, "hall_offset", Unit.RAD, -math.pi, math.pi, _PI, "ideal angle of the edge at the start of sector 1"),
     Parameter(
-        152, "hall_swap_hat", Unit.NONE, 0, max(HallSwap), _PI | Flag.WHOLE, "Hall wires exchanged, see HallSwap"
+        108, "observer", Unit.NONE, 0, max(AngleSource), _PW | _TUNING, "angle source of the control (see AngleSource)"
     ),
-    Parameter(153, "hall_invert_hat", Unit.NONE, 0, 7, _PI | Flag.WHOLE, "Hall inputs inverted, one bit each"),
+    Parameter(109, "load_angle_comp", Unit.NONE, 0, 1, _PW | _TUNING, "load-angle compensation (18)-(19): 0 off, 1 on"),
+    Parameter(110, "k_p_vt", Unit.PER_S, 0.0, 1e5, _P | _TUNING, "vector tracking: proportional gain k_p of (9)"),
+    Parameter(111, "k_i_vt", Unit.NONE, 0.0, 1e9, _P | _TUNING, "vector tracking: integral gain k_i of (9), 1/s²"),
+    Parameter(
+        112, "tau_max", Unit.S, 0.0, 0.1, _P | _TUNING, "vector tracking: largest tau of the back-EMF filter (6)"
+    ),
+    Parameter(
+        113,
+        "omega_on",
+        Unit.RAD_PER_S,
+        0,
+        1e4,
+        _P | _TUNING,
+        "average speed (electrical) above which correction starts",
+    ),
+    Parameter(
+        114,
+        "omega_off",
+        Unit.RAD_PER_S,
+        0,
+        1e4,
+        _P | _TUNING,
+        "average speed (electrical) below which correction stops",
+    ),
+    Parameter(115, "k_pc", Unit.RAD_PER_A, -10.0, 10.0, _P | _TUNING, "load angle: proportional gain k_pc of (18)"),
+    Parameter(116, "k_ic", Unit.RAD_PER_AS, -1e3, 1e3, _P | _TUNING, "load angle: integral gain k_ic of (18)"),
+    Parameter(
+        117, "literal_sgn", Unit.NONE, 0, 1, _PW | _TUNING, "1 = sgn() of (9) uses the corrected speed, as printed"
+    ),
+    Parameter(
+        118, "hall_timeout", Unit.S, 1e-3, 10.0, _P | _TUNING, "time without an edge after which omega_h is zero"
+    ),
+    Parameter(119, "bw_omega_lpf", Unit.HZ, 1.0, 8e3, _P | _TUNING, "cut-off of the filter on the estimated speed"),
+    Parameter(120, "bw_current", Unit.HZ, 1.0, 4e3, _P | _TUNING, "bandwidth of the current loop"),
+    Parameter(
+        121, "k_p_speed", Unit.A_S_PER_RAD, 0.0, 1e3, _P | _TUNING, "speed loop: proportional gain, by mechanical speed"
+    ),
+    Parameter(122, "k_i_speed", Unit.A_PER_RAD, 0.0, 1e5, _P | _TUNING, "speed loop: integral gain"),
+    Parameter(123, "dead_time_hat", Unit.S, 0.0, 1e-5, _P | _CALIBRATION, "dead time that the compensation assumes"),
+    Parameter(
+        124, "dead_time_comp", Unit.NONE, 0.0, 1.5, _P | _TUNING, "share of the dead-time error that is compensated"
+    ),
+    Parameter(
+        125,
+        "watchdog",
+        Unit.S,
+        0.05,
+        1.0,
+        _PI | _LIMITS,
+        "time without ALIVE or SETPOINT after which the outputs go off",
+    ),
+    Parameter(
+        126,
+        "inject",
+        Unit.NONE,
+        0,
+        2,
+        _PW | _TUNING,
+        "test sine: 0 off, 1 on the angle of theta*, 2 on that of theta_h",
+    ),
+    Parameter(127, "inject_amplitude", Unit.RAD, 0.0, 0.5, _P | _TUNING, "amplitude of the test sine"),
+    Parameter(128, "inject_hz", Unit.HZ, 0.0, 4e3, _P | _TUNING, "frequency of the test sine"),
+    Parameter(
+        129, "i_range", Unit.A, 0.0, 1e4, _P | Flag.READ_ONLY | _IDENTITY, "full scale of the current sensors, + and -"
+    ),
+    *_by_sector(
+        130, "edge_up", "edge passed forward: ideal minus actual angle, at the start of sector", _P | _CALIBRATION
+    ),
+    *_by_sector(
+        136, "edge_down", "edge passed in reverse: ideal minus actual angle, at the start of sector", _P | _CALIBRATION
+    ),
+    Parameter(
+        142, "J_hat", Unit.KGM2, 1e-8, 10.0, _P | _IDENTITY, "inertia of the whole shaft that the firmware assumes"
+    ),
+    Parameter(143, "bw_hall_vector", Unit.HZ, 0.0, 1e3, _P | _TUNING, "bandwidth of the observers on the Hall vector"),
+    Parameter(
+        144,
+        "learn_edges",
+        Unit.NONE,
+        0,
+        1,
+        _PW | _TUNING,
+        "Kalman filter on Hall edges: 0 keep what it learned, 1 learn",
+    ),
+    Parameter(145, "i_trip", Unit.A, 0.0, 1e3, _P | _LIMITS, "phase current above which the drive trips: OVERCURRENT"),
+    Parameter(
+        146,
+        "omega_m_trip",
+        Unit.RAD_PER_S,
+        0.0,
+        1e4,
+        _P | _LIMITS,
+        "mechanical speed above which the drive trips: OVERSPEED",
+    ),
+    Parameter(
+        147, "u_dc_min", Unit.V, 0.0, 1e3, _P | _LIMITS, "DC link voltage below which the drive trips: UNDERVOLTAGE"
+    ),
+    Parameter(
+        148, "u_dc_max", Unit.V, 0.0, 1e3, _P | _LIMITS, "DC link voltage above which the drive trips: OVERVOLTAGE"
+    ),
+    Parameter(149, "dead_time_learn", Unit.NONE, 0, 1, _PW | _TUNING, "1 = learn and compensate what these two leave"),
+    Parameter(
+        150, "edge_sd", Unit.RAD, 0.0, 0.5, _P | _CALIBRATION, "standard deviation common to all edges of one direction"
+    ),
+    Parameter(
+        151,
+        "hall_offset",
+        Unit.RAD,
+        -math.pi,
+        math.pi,
+        _PI | _CALIBRATION,
+        "ideal angle of the edge at the start of sector 1",
+    ),
+    Parameter(
+        152,
+        "hall_swap_hat",
+        Unit.NONE,
+        0,
+        max(HallSwap),
+        _PI | Flag.WHOLE | _CALIBRATION,
+        "Hall wires exchanged, see HallSwap",
+    ),
+    Parameter(
+        153, "hall_invert_hat", Unit.NONE, 0, 7, _PI | Flag.WHOLE | _CALIBRATION, "Hall inputs inverted, one bit each"
+    ),
+    Parameter(
+        154,
+        "encoder_lines",
+        Unit.NONE,
+        1,
+        1e6,
+        _PI | Flag.WHOLE | _CALIBRATION,
+        "lines of the encoder: counts a turn over 4",
+    ),
+    Parameter(
+        155,
+        "encoder_reverse",
+        Unit.NONE,
+        0,
+        1,
+        _PI | Flag.WHOLE | _CALIBRATION,
+        "1 = the encoder counts down in the positive direction",
+    ),
+    Parameter(
+        156,
+        "encoder_zero",
+        Unit.RAD,
+        -math.pi,
+        math.pi,
+        _PI | _CALIBRATION,
+        "electrical angle at which the encoder's count is 0",
+    ),
+    Parameter(157, "i_cont", Unit.A, 0.0, 1e3, _P | _LIMITS, "current that the winding bears for ever"),
+    Parameter(
+        158,
+        "i2t_max",
+        Unit.A2S,
+        0.0,
+        1e6,
+        _P | _LIMITS,
+        "excess of i^2 over i_cont^2, integrated, at which the drive trips: OVERLOAD; 0 = never",
+    ),
+    Parameter(
+        159,
+        "u_test_max",
+        Unit.V,
+        0.0,
+        1e3,
+        _PI | _LIMITS,
+        "largest voltage of VOLTAGE, and largest jump of the voltage",
+    ),
+    Parameter(
+        160,
+        "forced",
+        Unit.NONE,
+        0,
+        1,
+        _TEST | Flag.WHOLE,
+        "1 = the control uses the forced angle, whatever `observer` says",
+    ),
+    Parameter(161, "forced_speed", Unit.RAD_PER_S, -1e4, 1e4, _TEST, "electrical speed of the forced angle"),
+    Parameter(
+        162, "forced_angle", Unit.RAD, -math.pi, math.pi, _TEST, "where the forced angle goes while forced_speed is 0"
+    ),
+    Parameter(163, "forced_slope", Unit.RAD_PER_S2, 1.0, 1e6, _TEST, "ramp of the forced speed"),
+    Parameter(
+        164,
+        "test",
+        Unit.NONE,
+        0,
+        max(TestSignal),
+        _TEST | Flag.WHOLE,
+        "what the test signal is added to (see TestSignal)",
+    ),
+    Parameter(165, "test_voltage", Unit.V, 0.0, 1e3, _TEST, "amplitude of the test signal on a voltage"),
+    Parameter(166, "test_current", Unit.A, 0.0, 1e3, _TEST, "amplitude of the test signal on a current"),
+    Parameter(
+        167, "test_speed", Unit.RAD_PER_S, 0.0, 1e3, _TEST, "amplitude of the test signal on the speed, mechanical"
+    ),
+    Parameter(
+        168,
+        "test_periods",
+        Unit.NONE,
+        1,
+        65535,
+        _TEST | Flag.WHOLE,
+        "PWM periods of half a cycle of the square, or of each sample of the waveform",
+    ),
+    Parameter(
+        169,
+        "test_length",
+        Unit.NONE,
+        0,
+        65535,
+        _TEST | Flag.WHOLE,
+        "samples of the waveform (blob 4) that are repeated; 0 = a square",
+    ),
 )
 
 LOAD_PARAMETERS: tuple[Parameter, ...] = (
@@ -355,7 +546,7 @@ LOAD_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(104, "hall_swap", Unit.NONE, 0, max(HallSwap), _PW, "Hall wires exchanged or rotated (see HallSwap)"),
     Parameter(105, "hall_open", Unit.NONE, 0, 7, _PW, "Hall wires broken, one bit each; the input reads 1"),
     Parameter(106, "hall_glitch", Unit.PER_S, 0.0, 1e5, _P, "false pulses of 2 to 5 us on the Hall wires, mean rate"),
-    *_by_sector(107, "hall_delta", "edge: ideal minus actual angle, at the start of sector"),
+    *_by_sector(107, "hall_delta", "edge: ideal minus actual angle, at the start of sector", _P),
     Parameter(113, "hall_invert", Unit.NONE, 0, 7, _PW, "Hall inputs inverted, one bit each"),
     Parameter(114, "hall_short", Unit.NONE, 0, 7, _PW, "Hall wires shorted, one bit each; the input reads 0"),
     Parameter(115, "faults", Unit.NONE, 0, 1, _PW, "1 = the faults of the rig's own configuration are in force"),

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Self
 
@@ -24,7 +24,7 @@ from protocol.errors import RemoteProtocolError
 from protocol.frames import data_frame
 from protocol.framing import HEADER_BYTES
 from protocol.messages import HelloReply, StreamEvent, StreamReply, StreamSet
-from protocol.signals import Signal
+from protocol.signals import RawType, Signal
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -175,6 +175,8 @@ class TickReference:
 class StreamConfig:
     """A stream as the device configured it. `block`: most records in a frame; edges have no channels.
 
+    Channels are as they are in its records: in a stream of means their raw type is F32, whatever the descriptor says.
+
     `tick_hz`, `pwm_hz`: device ticks and PWM periods a second. On CAN: `slot`, the first one of its frames, and
     `tick0`, the tick of PWM period 0.
     """
@@ -218,13 +220,16 @@ class StreamConfig:
         by_id = {channel.id: channel for channel in descriptor.channels}
         if missing := [number for number in request.channels if number not in by_id]:
             raise RemoteProtocolError(f"stream {request.stream}: the device has no channels with the ids {missing}")
+        channels = tuple(by_id[number] for number in request.channels)
+        if request.event == StreamEvent.MEAN:
+            channels = tuple(replace(channel, raw=RawType.F32) for channel in channels)
         config = cls(
             node=hello.node,
             stream=request.stream,
             cfg_id=reply.cfg_id,
             event=request.event,
             decimation=request.decimation,
-            channels=tuple(by_id[number] for number in request.channels),
+            channels=channels,
             block=reply.block,
             slot=reply.slot,
             tick0=reply.tick0,

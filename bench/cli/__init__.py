@@ -31,6 +31,7 @@ _COMMANDS = {
     "export": "Export a recorded run: CSV, MDF 4, MATLAB, NumPy, rerun, Parquet.",
     "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
     "conform": "Check whether a device conforms to HBP, the protocol.",
+    "response": "Measure the frequency response of a loop: margins, coherence.",
     "hall": "Check the Hall sensors; learn their edge angles; read other tools' tables.",
     "replay": "Run observers on a recording, beside the drive's own.",
     "study": "Run many simulated drives through the same tests: yield, causes.",

@@ -148,8 +148,9 @@ def _about_samples(stream: NodeStream, fd: bool, samples: int) -> str:
     counter, bits, counted, step = ("index", 32, "index", config.decimation) if fd else ("ctr", 16, "number", 1)
     which = "the sample" if samples == 1 else f"sample _0, that of _1 is {step} more, and so on to _{samples - 1}"
     index = "" if fd else f"; index = number * {config.decimation}"
+    means = ", each the mean since the last" if config.event == StreamEvent.MEAN else ""
     return (
-        f"{config.rate:g} samples/s, decimation {config.decimation}. "
+        f"{config.rate:g} samples/s, decimation {config.decimation}{means}. "
         f"{counter}: low {bits} bits of the {counted} of {which}{index}; "
         f"tick = {config.tick0} + index * {config.period_ticks}, at {config.tick_hz} ticks/s; "
         "index counts PWM periods."

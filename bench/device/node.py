@@ -31,6 +31,7 @@ from protocol.framing import MAX_PAYLOAD
 from protocol.messages import (
     BlobRead,
     BlobReply,
+    BlobWrite,
     Command,
     DriveState,
     Empty,
@@ -71,6 +72,7 @@ SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
 MAX_LATENCY_MS = 20  # with which the bench configures streams
 DUE = 0.15  # s after which the next heartbeat is late
+WAVEFORM = 4  # the blob of the test signal's samples
 _BLOB_PART = 512
 _PART_TAKES = 0.05  # s, at most, that a part is under way on a UART: the request is repeated after 0.1 s
 _SMALLEST_PART = 16
@@ -149,6 +151,23 @@ class Node:
         if self.encoder:
             return told
         return replace(told, channels=tuple(replace(c, flags=c.flags & ~Flag.REFERENCE) for c in told.channels))
+
+    def waveform_room(self) -> int:
+        """Samples that the waveform of the test signal may have. Needs the feature WAVEFORM."""
+        return self.client.request(BlobRead(WAVEFORM, 0, 0), self.number, BlobReply).total // 2
+
+    def write_waveform(self, data: bytes) -> None:
+        """Write the samples of the test signal (i16), from the first on, and read them back; NodeError if they differ.
+
+        Needs the feature WAVEFORM.
+        """
+        part = min(_BLOB_PART, self.identity.rx_max - BlobWrite.FIXED_BYTES, self.identity.tx_max)
+        for at in range(0, len(data), part):
+            piece = data[at : at + part]
+            self.client.request(BlobWrite(WAVEFORM, len(piece), at, piece), self.number, Empty)
+            back = self.client.request(BlobRead(WAVEFORM, len(piece), at), self.number, BlobReply).data
+            if back != piece[: len(back)]:
+                raise NodeError(f"node {self.number} does not hold the waveform that was written to it")
 
     def parameter(self, name: str) -> ParamReply:
         """Value, range and default of a parameter, in its unit. Raises DeviceDefect if its value cannot be."""
@@ -432,9 +451,12 @@ class Node:
         code = "no code" if event.number is None else ErrorCode(event.number).name
         return f"{code} ({event.detail:g})"
 
-    def speed(self, omega_m: float, unless: Callable[[], bool] = lambda: False) -> None:
-        """Speed reference (a drive) or forced speed (a load machine), mechanical rad/s. See `setpoint`."""
-        self.setpoint(SetpointMode.SPEED, omega_m, unless=unless)
+    def speed(self, omega_m: float, unless: Callable[[], bool] = lambda: False, i_d: float = 0.0) -> None:
+        """Speed reference (a drive) or forced speed (a load machine), mechanical rad/s. See `setpoint`.
+
+        `i_d`, A, beside it: of a drive with the feature COMMISSION.
+        """
+        self.setpoint(SetpointMode.SPEED, omega_m, i_d, unless=unless)
 
     def current(self, i_q: float, i_d: float = 0.0) -> None:
         """Current references in A."""
@@ -492,7 +514,7 @@ class Node:
         """The streams that are configured in it now, by whomever."""
         configs = []
         for info in self.configured_streams():
-            if info.event not in (StreamEvent.PWM, StreamEvent.EDGES):
+            if info.event not in (StreamEvent.PWM, StreamEvent.EDGES, StreamEvent.MEAN):
                 continue  # of a later version
             request = StreamSet(info.stream, info.event, info.decimation, info.max_latency_ms, info.channels)
             reply = StreamReply(info.stream, info.cfg_id, info.sample_bytes, info.block, 0.0, info.slot, info.tick0)

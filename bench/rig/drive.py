@@ -20,13 +20,22 @@ from bench.rig.restore import try_all
 from bench.rig.runaway import RunawayGuard
 from bench.signal.sources import source_names, source_number
 from bench.signal.units import pole_pairs, shaft_speed
-from protocol.codes import Fault, fault_names
+from bench.signal.waveforms.excitation import Waveform
+from protocol.codes import Fault, TestSignal, fault_names
 from protocol.errors import HbpError
 from protocol.messages import DriveState
-from protocol.signals import AngleSource
+from protocol.signals import AngleSource, Flag
 
 OBSERVER = "observer"
 """The parameter that chooses the angle source of the control."""
+AMPLITUDES = {
+    TestSignal.U_D: "test_voltage",
+    TestSignal.U_Q: "test_voltage",
+    TestSignal.I_D: "test_current",
+    TestSignal.I_Q: "test_current",
+    TestSignal.SPEED: "test_speed",
+}
+"""The parameter that is the amplitude of a test signal."""
 
 
 class DriveTripped(BenchError):
@@ -118,18 +127,25 @@ class Drive(Machine):
             raise BenchError(f"{words}: choose another angle source, such as average-speed")
 
     def speed(
-        self, *, rpm: float | None = None, rad_s: float | None = None, unless: Callable[[], bool] = lambda: False
+        self,
+        *,
+        rpm: float | None = None,
+        rad_s: float | None = None,
+        unless: Callable[[], bool] = lambda: False,
+        i_d: float = 0.0,
     ) -> None:
         """Set the speed reference, mechanical, in one of two units; its confirmation is awaited unless `unless`.
 
-        Raises BenchError beyond what was announced, DriveTripped, and TypeError unless just one unit is given.
+        `i_d`, A: the d current beside it, of a drive with the feature COMMISSION. Raises BenchError beyond what was
+        announced, DriveTripped, and TypeError unless just one unit is given.
         """
         omega_m = shaft_speed(rpm, rad_s)
         require_announced_speed("speed", omega_m, self.envelope)
+        require_announced("current", abs(i_d), self.envelope.current, "A", "current")
         self._start_by_itself()
         with self._trips_first():
             self._ask(omega_m)  # before it is: it may run away while the setpoint is confirmed
-            self.node.speed(omega_m, lambda: bool(self.runs_away) or unless())
+            self.node.speed(omega_m, lambda: bool(self.runs_away) or unless(), i_d)
             self._stop_runaway()
 
     def current(self, i_q: float, i_d: float = 0.0) -> None:
@@ -153,6 +169,9 @@ class Drive(Machine):
         except DriveFailed:
             self._expected |= self._faults  # what its watchdog did is no news of its own
             raise
+        finally:
+            volatile = (p.name for p in self.node.descriptor.parameters if p.flags & Flag.VOLATILE)
+            self.parameters |= {name: self._initial[name] for name in volatile if name in self._initial}
 
     def set(self, name: str, value: float) -> None:
         """Set a parameter; the test's end puts back what it was."""
@@ -165,6 +184,31 @@ class Drive(Machine):
         with self._trips_first():
             self._set(name, value)
         self.changed[name] = self.parameters[name]
+
+    @contextmanager
+    def excited(self, reference: str, wave: Waveform, amplitude: float) -> Iterator[None]:
+        """Within this the drive, which runs, adds a waveform that repeats to one of its references or voltages.
+
+        `reference`: `u_d`, `u_q` (V), `i_d`, `i_q` (A) or `speed` (mechanical rad/s), and `amplitude` in its unit. It
+        begins with its first sample, in step with the PWM; the channel `status` marks each begin. Needs the features
+        COMMISSION and WAVEFORM. BenchError for what is beyond the announced current or speed, KeyError for another
+        reference.
+        """
+        test = TestSignal[reference.upper()]
+        if test in (TestSignal.I_D, TestSignal.I_Q):
+            require_announced("amplitude", amplitude, self.envelope.current, "A", "current")
+        elif test is TestSignal.SPEED:
+            require_announced_speed("amplitude", amplitude, self.envelope)
+        self.node.write_waveform(wave.raw().tobytes())
+        self.set(AMPLITUDES[test], amplitude)
+        self.set("test_periods", float(wave.hold))
+        self.set("test_length", float(len(wave.values)))
+        self.set("test", float(test))
+        try:
+            yield
+        finally:
+            if self.on and not self.faults:
+                self.set("test", float(TestSignal.OFF))
 
     @contextmanager
     def may_trip(self) -> Iterator[None]:

@@ -19,6 +19,11 @@ from protocol.signals import AngleSource, Flag, Unit
 
 NEEDS: dict[str, tuple[str, ...]] = {
     "the show": tuple(f"parameter:{name}" for name in ("n_p", "psi_f_hat", "observer", "omega_m_max", "i_max")),
+    "bench response": (
+        "feature:COMMISSION",
+        "feature:WAVEFORM",
+        *(f"parameter:{name}" for name in ("test", "test_length", "test_periods", "test_current", "test_speed")),
+    ),
     "--load": ("parameter:n_p", "parameter:psi_f_hat"),
     "bench hall check": ("channel:hall", "feature:EDGES", "parameter:n_p", "speed"),
     "bench hall check --passive": ("channel:hall", "feature:EDGES"),

@@ -164,12 +164,15 @@ enum {
     HBP_TYPE_PARAM_GET = 0x11,
     HBP_TYPE_PARAM_SET = 0x12,
     HBP_TYPE_PARAM_COMMIT = 0x13,
+    HBP_TYPE_BLOB_WRITE = 0x14,
     HBP_TYPE_STATE_CMD = 0x20,
     HBP_TYPE_SETPOINT = 0x21,
     HBP_TYPE_STREAM_SET = 0x30,
     HBP_TYPE_STREAM_START = 0x31,
     HBP_TYPE_STREAM_STOP = 0x32,
     HBP_TYPE_STREAM_GET = 0x33,
+    HBP_TYPE_CAPTURE_ARM = 0x38,
+    HBP_TYPE_CAPTURE_STATUS = 0x39,
     HBP_TYPE_DATA = 0x40,
     HBP_TYPE_EDGES = 0x41,
     HBP_TYPE_EVENT = 0x42,
@@ -185,6 +188,11 @@ enum {
     HBP_FEATURE_EDGES = 1, /* timestamped Hall edges can be streamed */
     HBP_FEATURE_COMMIT = 2, /* parameters can be stored for the next boot */
     HBP_FEATURE_SIMULATED = 4, /* no hardware moves */
+    HBP_FEATURE_CAPTURE = 8, /* samples are held in the device's memory and frozen by a trigger (chapter 19) */
+    HBP_FEATURE_COMMISSION = 16, /* modes without a sensor, and test signals (chapter 20) */
+    HBP_FEATURE_MEANINGS = 32, /* blob 3 tells what parameters and channels mean */
+    HBP_FEATURE_WAVEFORM = 64, /* blob 4 takes the samples of a test signal (chapter 20) */
+    HBP_FEATURE_MEANS = 128, /* the stream event MEAN */
 };
 
 enum {
@@ -210,18 +218,21 @@ enum {
     HBP_FAULT_OVERVOLTAGE = 16, /* DC link too high */
     HBP_FAULT_HALL = 32, /* illegal codes or sequences from the Hall sensors */
     HBP_FAULT_INTERNAL = 64, /* the firmware's own */
+    HBP_FAULT_OVERLOAD = 128, /* more current for longer than the winding bears */
 };
 
 enum {
     HBP_MODE_SPEED = 1, /* value: mechanical rad/s */
     HBP_MODE_CURRENT = 2, /* value: i_q in A, value2: i_d in A */
     HBP_MODE_TORQUE = 3, /* value: N·m (a load machine) */
+    HBP_MODE_VOLTAGE = 4, /* value: u_q in V, value2: u_d in V (chapter 20) */
 };
 
 enum {
     HBP_STREAM_PWM = 0, /* a sample of the chosen channels every `decimation` PWM periods */
     HBP_STREAM_SLOW = 1, /* reserved for a task slower than the PWM */
     HBP_STREAM_EDGES = 2, /* every Hall edge */
+    HBP_STREAM_MEAN = 3, /* the mean of the chosen channels over every `decimation` PWM periods */
 };
 
 enum {
@@ -229,6 +240,38 @@ enum {
     HBP_EVENT_FAULT = 2, /* arg: the bits that were added */
     HBP_EVENT_SETPOINT_REJECTED = 3, /* arg: the ErrorCode */
     HBP_EVENT_ARM_LAPSED = 4, /* arg: seconds that ARMED lasts */
+    HBP_EVENT_PARAM_CHANGED = 5, /* arg: the parameter's id */
+    HBP_EVENT_CAPTURED = 6, /* arg: the number of the capture that is now FROZEN */
+};
+
+enum {
+    HBP_TRIGGER_OFF = 0, /* nothing: what is held is given up */
+    HBP_TRIGGER_NOW = 1, /* the request itself */
+    HBP_TRIGGER_ABOVE = 2, /* the channel is above `level` */
+    HBP_TRIGGER_BELOW = 3, /* the channel is below `level` */
+    HBP_TRIGGER_RISES = 4, /* the channel was not above `level` in the period before, and is now */
+    HBP_TRIGGER_FALLS = 5, /* the channel was not below `level` in the period before, and is now */
+    HBP_TRIGGER_CHANGES = 6, /* the channel has another raw value than in the period before */
+    HBP_TRIGGER_FAULT = 7, /* a fault adds a bit to `faults` */
+    HBP_TRIGGER_STATE = 8, /* the state changes */
+    HBP_TRIGGER_ILLEGAL = 9, /* a Hall edge has the bit illegal */
+    HBP_TRIGGER_PULSE = 10, /* a Hall edge takes back the edge before it, within `level` seconds */
+};
+
+enum {
+    HBP_CAPTURE_OFF = 0, /* the device holds nothing and waits for nothing */
+    HBP_CAPTURE_ARMED = 1, /* samples are taken, the trigger is awaited */
+    HBP_CAPTURE_TRIGGERED = 2, /* the trigger has come, samples after it are still taken */
+    HBP_CAPTURE_FROZEN = 3, /* the capture is complete, and blob 1 is it */
+};
+
+enum {
+    HBP_TEST_OFF = 0,
+    HBP_TEST_U_D = 1, /* the d voltage, after the loop */
+    HBP_TEST_U_Q = 2, /* the q voltage, after the loop */
+    HBP_TEST_I_D = 3, /* the reference of the d current */
+    HBP_TEST_I_Q = 4, /* the reference of the q current */
+    HBP_TEST_SPEED = 5, /* the reference of the speed, after the ramp */
 };
 
 enum {
@@ -282,6 +325,7 @@ enum {
     HBP_UNIT_A_PER_RAD = 18,
     HBP_UNIT_DEG_C = 19,
     HBP_UNIT_W = 20,
+    HBP_UNIT_A2S = 21,
 };
 
 enum {
@@ -295,11 +339,16 @@ enum {
     HBP_FLAG_IDLE_ONLY = 128, /* a parameter that can be set only while the outputs are off */
     HBP_FLAG_WHOLE = 256, /* a parameter that takes whole numbers only */
     HBP_FLAG_ON_REQUEST = 512, /* a channel that is streamed only where it is asked for by name */
+    HBP_FLAG_IDENTITY = 1024, /* a parameter that tells which kind of motor this is */
+    HBP_FLAG_CALIBRATION = 2048, /* a parameter that goes with this very motor, its sensors and their mounting */
+    HBP_FLAG_TUNING = 4096, /* a parameter of taste: gains, filters, choices */
+    HBP_FLAG_LIMITS = 8192, /* a parameter that protects */
+    HBP_FLAG_VOLATILE = 16384, /* a parameter that is at its default at boot and whenever RUNNING has ended */
 };
 /* </codes> */
 
 #define HBP_MAJOR 1
-#define HBP_MINOR 0
+#define HBP_MINOR 1
 #define HBP_STREAMS 4
 #define HBP_KEPT 4 /* replies */
 #define HBP_NONE 0xFFFFu

@@ -25,7 +25,8 @@ from protocol.canmap.ids import (
 )
 from protocol.canmap.layout import MAX_GROUPS, StreamLayout, edge_load, sample_layout
 from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
-from protocol.device.carrier import EdgeStream, Run, SampleStream, Shape, Stream, in_time, packed
+from protocol.device.carrier import EdgeStream, SampleStream, Shape, Stream, in_time
+from protocol.device.records import Records, Rows
 from protocol.device.session import DeviceApp, DeviceSession, Identity
 from protocol.device.tx import TxQueue
 from protocol.errors import Refused
@@ -49,23 +50,20 @@ class _CanStream(Stream):
 class _Samples(_CanStream, SampleStream):
     """A stream of samples: whole frames only."""
 
-    def __init__(self, slot: int, ids: list[int], layout: StreamLayout, runs: list[Run], decimation: int, tx: TxQueue):
+    def __init__(self, slot: int, ids: list[int], layout: StreamLayout, records: Records, decimation: int, tx: TxQueue):
         super().__init__(tx, slot)
         self._ids = ids
         self._layout = layout
-        self._runs = runs
+        self._records = records
         self._decimation = decimation
         self._pending = np.empty((0, layout.groups[-1][1]), np.uint8)
         self._next: int | None = None  # index of the sample after the pending ones
 
-    def push(self, index0: int, tick0: int, rows: NDArray[np.uint8]) -> None:
+    def push(self, index0: int, tick0: int, rows: Rows) -> None:
         """See `SampleStream`."""
-        offset = -index0 % self._decimation
-        chosen = rows[offset :: self._decimation]
-        if not len(chosen):
+        first, samples = self._records.take(index0, rows)
+        if not len(samples):
             return
-        samples = packed(chosen, self._runs)
-        first = index0 + offset
         if first == self._next:
             first -= len(self._pending) * self._decimation
             samples = np.concatenate([self._pending, samples])
@@ -170,14 +168,14 @@ class CanCarrier:
         return Shape(layout.samples, layout.load(self._rates, pwm_hz / decimation, self._extended))
 
     def samples(
-        self, node: int, request: StreamSet, cfg_id: int, widths: Sequence[int], runs: list[Run], block: int, ticks: int
+        self, node: int, request: StreamSet, cfg_id: int, records: Records, block: int, ticks: int
     ) -> SampleStream:
         """See `Carrier.samples`. Each configuration has slots of its own, after those of the one before."""
-        layout = sample_layout(widths, self._rates.fd, block)
+        layout = sample_layout(records.widths, self._rates.fd, block)
         self._edge_slots.free(request.stream)
         slots = self._sample_slots.take(request.stream, len(layout.groups))
         ids = [stream_id(node, slot).pack(self._extended) for slot in slots]
-        return _Samples(slots[0], ids, layout, runs, request.decimation, self.tx)
+        return _Samples(slots[0], ids, layout, records, request.decimation, self.tx)
 
     def edges(self, node: int, request: StreamSet, cfg_id: int, block: int) -> EdgeStream:
         """See `Carrier.edges`."""

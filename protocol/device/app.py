@@ -5,9 +5,12 @@ This module holds only the interface and the identity; it never acts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from protocol.framing import MAX_PAYLOAD
 from protocol.messages import DriveState, Fault, Feature, Role, SetpointMode
@@ -19,7 +22,8 @@ class Identity:
     """What HELLO says of a device. `boot_id` differs from boot to boot; tick_hz is a multiple of pwm_hz.
 
     `tick0`, in the replies to STREAM_SET: the tick of PWM period 0. `name` and `firmware` are cut to 16 bytes, `serial`
-    and `build` to 24.
+    and `build` to 24. `capture_bytes`: memory for captures. Of `features`, those are told for which there is what they
+    need: memory for CAPTURE, and of the app what `Extras` has for MEANINGS and WAVEFORM.
     """
 
     node: int
@@ -35,6 +39,7 @@ class Identity:
     tick0: int = 0
     serial: str = ""
     build: str = ""
+    capture_bytes: int = 0
 
 
 class DeviceApp(Protocol):
@@ -78,3 +83,19 @@ class DeviceApp(Protocol):
 
     def commit(self) -> None:
         """Store all parameters for the next boot; refuse with NOT_SUPPORTED or STORE_FAILED."""
+
+
+class Extras(NamedTuple):
+    """What an app may have besides what `DeviceApp` asks of it, as attributes of these names."""
+
+    meanings: Mapping[str, str] = {}
+    """What channels and parameters mean, by name: blob 3."""
+    waveform: NDArray[np.int16] | None = None
+    """Memory that a host writes and the app reads in each period: blob 4."""
+    fault_channels: Sequence[str] = ()
+    """Names of the channels of the capture that waits for a fault unasked; none = from the descriptor's beginning."""
+
+    @classmethod
+    def of(cls, app: DeviceApp) -> Extras:
+        """Return what an app has of them."""
+        return cls(**{name: getattr(app, name) for name in cls._fields if hasattr(app, name)})

@@ -12,16 +12,13 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.device.records import Records, Rows
 from protocol.device.tx import TxQueue
 from protocol.errors import Refused
 from protocol.framing import HEADER_BYTES, MAJOR, Frame, compiled, encode_frame, encoded_length
 from protocol.messages import ErrorCode, MessageType, StreamSet
 from protocol.streams import DISCONTINUITY, EDGE_RECORD, OVERRUN, STREAM_HEADER
-
-Run = slice
-"""Bytes of neighbouring channels in a full sample."""
 
 TOGETHER = 64  # frames that are encoded at once
 _HEAD = np.dtype(  # frame header and stream header
@@ -63,8 +60,8 @@ class SampleStream(Stream, ABC):
         return False
 
     @abstractmethod
-    def push(self, index0: int, tick0: int, rows: NDArray[np.uint8]) -> None:
-        """Take n periods: rows[n, bytes of a full sample]."""
+    def push(self, index0: int, tick0: int, rows: Rows) -> None:
+        """Take n periods."""
 
 
 class EdgeStream(Stream, ABC):
@@ -97,7 +94,7 @@ class Carrier(Protocol):
         """
 
     def samples(
-        self, node: int, request: StreamSet, cfg_id: int, widths: Sequence[int], runs: list[Run], block: int, ticks: int
+        self, node: int, request: StreamSet, cfg_id: int, records: Records, block: int, ticks: int
     ) -> SampleStream:
         """Return a stream of samples; `ticks` are those of a PWM period. Raises Refused if there is no place for it."""
 
@@ -165,15 +162,15 @@ class _ByteSamples(_ByteStream, SampleStream):
     TYPE = MessageType.DATA
 
     def __init__(
-        self, node: int, stream: int, cfg_id: int, runs: list[Run], request: StreamSet,
+        self, node: int, request: StreamSet, cfg_id: int, records: Records,
         block: int, ticks_per_period: int, tx: TxQueue,
     ) -> None:  # fmt: skip
-        self._runs = runs
+        self._records = records
         self._decimation = request.decimation
         self._step = (request.decimation, request.decimation * ticks_per_period)
         self._first = (0, 0)  # index and tick of the first pending sample
         self._next: int | None = None
-        super().__init__(node, stream, cfg_id, sum(run.stop - run.start for run in runs), block, tx)
+        super().__init__(node, request.stream, cfg_id, sum(records.widths), block, tx)
 
     def _selected(self, index0: int, n: int) -> tuple[int, int]:
         """Return where the first sample of this stream lies among n periods, and how many there are."""
@@ -187,19 +184,18 @@ class _ByteSamples(_ByteStream, SampleStream):
         broken = waiting > 0 and count > 0 and index0 + offset != self._next
         return waiting + count >= self.block or broken
 
-    def push(self, index0: int, tick0: int, rows: NDArray[np.uint8]) -> None:
-        """Take n periods: rows[n, bytes of a full sample]."""
-        offset, count = self._selected(index0, len(rows))
-        if not count:
+    def push(self, index0: int, tick0: int, rows: Rows) -> None:
+        """Take n periods."""
+        first, records = self._records.take(index0, rows)
+        if not len(records):
             return
-        first = index0 + offset
         if self._next is not None and first != self._next:
             self.flush()
             self._flags |= DISCONTINUITY
-        self._next = first + count * self._step[0]
+        self._next = first + len(records) * self._step[0]
         if not self._pending:
-            self._first = (first, tick0 + offset * (self._step[1] // self._step[0]))
-        data = self._pending + packed(rows[offset :: self._decimation], self._runs).tobytes()
+            self._first = (first, tick0 + (first - index0) * (self._step[1] // self._step[0]))
+        data = self._pending + records.tobytes()
         waiting = len(data) // self._record_bytes
         whole = waiting - waiting % self.block
         self._emit(data, 0, whole, self.block, self._first, self._step)
@@ -273,10 +269,10 @@ class ByteCarrier:
         return Shape(block, frame * pwm_hz / (decimation * block))
 
     def samples(
-        self, node: int, request: StreamSet, cfg_id: int, widths: Sequence[int], runs: list[Run], block: int, ticks: int
+        self, node: int, request: StreamSet, cfg_id: int, records: Records, block: int, ticks: int
     ) -> SampleStream:
         """See `Carrier.samples`."""
-        return _ByteSamples(node, request.stream, cfg_id, runs, request, block, ticks, self.tx)
+        return _ByteSamples(node, request, cfg_id, records, block, ticks, self.tx)
 
     def edges(self, node: int, request: StreamSet, cfg_id: int, block: int) -> EdgeStream:
         """See `Carrier.edges`."""
@@ -289,8 +285,3 @@ class ByteCarrier:
 def in_time(request: StreamSet, pwm_hz: int, decimation: int) -> int:
     """Return how many samples a stream takes in its max_latency."""
     return request.max_latency_ms * pwm_hz // (1000 * decimation)
-
-
-def packed(rows: NDArray[np.uint8], runs: Sequence[Run]) -> NDArray[np.uint8]:
-    """Return the samples of a stream in rows[n, bytes of a full sample], shape (n, bytes of its own)."""
-    return np.concatenate([rows[:, run] for run in runs], axis=1)

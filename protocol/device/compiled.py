@@ -16,7 +16,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from platformdirs import user_cache_path
 from protocol.descriptor import sample_dtype
 from protocol.device.app import DeviceApp, Identity
 from protocol.errors import Refused
-from protocol.messages import DriveState, Fault, SetpointMode
+from protocol.messages import DriveState, Fault, Feature, SetpointMode
 
 SOURCE = Path(__file__).parents[1] / "c"
 FILES = ("hbp.c", "hbp_can.c", "host/shim.c")
@@ -38,6 +38,8 @@ OPTIONS = """
     HBP_CRC_TABLE=256 HBP_CAN_BYTES=64 HBP_CAN_MESSAGES=1024 HBP_CAN_TRANSFERS=34
 """
 MIN_POOL = 1 << 12  # bytes
+FEATURES = Feature.EDGES | Feature.COMMIT | Feature.SIMULATED
+"""What the device side in C has: no other is told."""
 
 
 class NoCompiler(Exception):
@@ -143,7 +145,7 @@ class CompiledSession:
     nodes = 1
 
     def __init__(self, lib: ctypes.CDLL, app: DeviceApp, identity: Identity) -> None:
-        self.app, self.identity = app, identity
+        self.app, self.identity = app, replace(identity, features=identity.features & FEATURES)
         self.raised: BaseException | None = None
         self._lib = lib
         self._dtype = sample_dtype(app.channels)
@@ -168,6 +170,11 @@ class CompiledSession:
         used = np.zeros(len(self.app.channels), np.uint8)
         self._lib.shim_channels(self.at, used.ctypes.data)
         return frozenset(channel.name for channel, taken in zip(self.app.channels, used, strict=True) if taken)
+
+    @property
+    def sampling(self) -> bool:
+        """Whether samples are wanted."""
+        return bool(self.running)
 
     @property
     def dropped(self) -> int:

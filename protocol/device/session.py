@@ -8,18 +8,20 @@ This module never controls a motor: that is the `DeviceApp`'s.
 from __future__ import annotations
 
 import math
-import re
 from collections import defaultdict, deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.descriptor import Descriptor
-from protocol.device.app import DeviceApp, Identity
+from protocol.device.app import DeviceApp, Extras, Identity
+from protocol.device.blobs import CONTROL, Blobs, meanings_blob
+from protocol.device.capture import Capture
 from protocol.device.carrier import ByteCarrier, Carrier
+from protocol.device.parameters import ParameterTable
 from protocol.device.state import StateMachine
 from protocol.device.streams import StreamTable
 from protocol.device.tx import TxQueue
@@ -30,7 +32,10 @@ from protocol.messages import (
     UNACKNOWLEDGED,
     Alive,
     BlobRead,
-    BlobReply,
+    BlobWrite,
+    CaptureArm,
+    CaptureReply,
+    CaptureStatus,
     Command,
     DeviceEvent,
     DriveState,
@@ -39,6 +44,7 @@ from protocol.messages import (
     ErrorReply,
     EventCode,
     Fault,
+    Feature,
     Heartbeat,
     Hello,
     HelloReply,
@@ -47,9 +53,7 @@ from protocol.messages import (
     MessageType,
     ParamCommit,
     ParamGet,
-    ParamReply,
     ParamSet,
-    ParamStored,
     Payload,
     PayloadError,
     Request,
@@ -63,14 +67,12 @@ from protocol.messages import (
     TimeSync,
     TimeSyncReply,
 )
-from protocol.signals import Flag, Parameter
 from protocol.validity import MIN_RX_MAX
 
 __all__ = ["DeviceApp", "DeviceLink", "DeviceSession", "Identity", "TxQueue"]
 
 HEARTBEATS_PER_SECOND = 10
 REPLIES_KEPT = 4
-_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
 @dataclass(slots=True)
@@ -89,34 +91,39 @@ class DeviceSession:
         if identity.tick_hz % identity.pwm_hz:
             raise ValueError(f"tick_hz {identity.tick_hz} is no multiple of pwm_hz {identity.pwm_hz}")
         for text in (identity.name, identity.firmware, identity.serial, identity.build):
-            if _CONTROL.search(text):
+            if CONTROL.search(text):
                 raise ValueError(f"control characters in {text!r}")
         self.app = app
-        self.identity = identity
+        extras = Extras.of(app)
+        self.identity = identity = replace(identity, features=_had(identity, extras))
         self.nodes = 1  # on the link
         self.tx = carrier.tx
         self.descriptor = Descriptor.of(app.channels, app.parameters)
-        self.machine = StateMachine(app, identity.boot_id, identity.tick_hz, self.event)
+        self.machine = StateMachine(app, identity.boot_id, identity.tick_hz, self._changed)
         self.streams = StreamTable(identity, app.channels, carrier)
+        self.parameters = ParameterTable(app, self.event)
+        self.capture = None
+        if identity.features & Feature.CAPTURE:
+            self.capture = Capture(identity, app.channels, extras.fault_channels, lambda: self.machine.faults)
         self.ignored = 0  # frames that are replies themselves
         self.setpoints_rejected = 0
         self._encode = carrier.encode
         self._link_counters = link_counters
-        self._blob = self.descriptor.pack()
-        self._parameters = {parameter.id: parameter for parameter in app.parameters}
+        self._blobs = self._make_blobs(extras)
         self._tick = 0
         self._next_heartbeat = 0
         self._setpoint_counter = 0
         self._last_tid = 0
+        self._running = False
         self._peers: defaultdict[int, _Peer] = defaultdict(lambda: _Peer(identity.tx_max))
         self._peer = self._peers[0]
         self._handlers: dict[type[Request], Callable[[Any], Payload | None]] = {
             Hello: self._hello,
             TimeSync: lambda _: TimeSyncReply(self._tick, self._tick),
             Alive: lambda _: self.machine.feed(self._tick),
-            BlobRead: self._blob_read,
-            ParamGet: self._param_get,
-            ParamSet: self._param_set,
+            BlobRead: lambda asked: self._blobs.read(asked, self._peer.tx_max),
+            ParamGet: self.parameters.get,
+            ParamSet: lambda asked: self.parameters.set(asked, self.state),
             ParamCommit: self._param_commit,
             StateCommand: lambda asked: StateReply(self.machine.command(asked.command, asked.argument, self._tick)),
             Setpoint: self._setpoint,
@@ -125,17 +132,34 @@ class DeviceSession:
             StreamStop: lambda asked: self.streams.stop(asked.mask),
             StreamGet: lambda asked: self.streams.describe(asked.stream, self._peer.tx_max),
         }
+        if self.capture:
+            self._handlers |= {CaptureArm: self._capture_arm, CaptureStatus: self._capture_status}
+        if identity.features & Feature.WAVEFORM:
+            self._handlers[BlobWrite] = self._blobs.write
 
     @property
     def state(self) -> DriveState:
         """The state now."""
         return self.machine.state
 
+    @property
+    def channels(self) -> frozenset[str]:
+        """Names of the channels that are in use: those that streams are configured with, and those of the capture."""
+        return self.streams.channels | self.capture.channels if self.capture else self.streams.channels
+
+    @property
+    def sampling(self) -> bool:
+        """Whether samples are wanted: a stream runs, or a capture takes them."""
+        return bool(self.streams.running) or (self.capture is not None and self.capture.waiting)
+
     def advance(self, tick: int) -> None:
         """Let time pass up to the device's 64-bit `tick`: watchdog, lapse, late stream blocks, heartbeat."""
         self._tick = tick
         self.machine.advance(tick)
         self.streams.advance(tick)
+        if self.capture and self.capture.news:
+            self.capture.news = False
+            self.event(EventCode.CAPTURED, float(self.capture.number), float(self.capture.trigger))
         if tick >= self._next_heartbeat:
             period = self.identity.tick_hz // HEARTBEATS_PER_SECOND
             self._next_heartbeat = tick - tick % period + period
@@ -148,10 +172,14 @@ class DeviceSession:
         `index0`, `tick0`: PWM-period count and tick of the first. All edges up to the last sample's tick
         must have been pushed before.
         """
+        if self.capture:
+            self.capture.push_samples(index0, tick0, raw)
         self.streams.push_samples(index0, tick0, raw)
 
     def push_edges(self, records: NDArray[np.void]) -> None:
         """Take Hall edges in order of time, as `protocol.streams.EDGE_RECORD`."""
+        if self.capture:
+            self.capture.push_edges(records, self.streams.edges, self._tick)
         self.streams.push_edges(records, self._tick)
 
     def fault(self, bits: Fault) -> None:
@@ -164,7 +192,7 @@ class DeviceSession:
 
     def log(self, level: int, text: str) -> None:
         """Send a LOG."""
-        self._send(Log(level, _CONTROL.sub(" ", text)[: (self._peer.tx_max - 1) // 4]))
+        self._send(Log(level, CONTROL.sub(" ", text)[: (self._peer.tx_max - 1) // 4]))
 
     def heartbeat(self) -> Heartbeat:
         """Return the health as of now."""
@@ -193,6 +221,8 @@ class DeviceSession:
             self.ignored += 1
             return
         kind = REQUESTS.get(frame.type)
+        if kind not in self._handlers:  # it belongs to a feature that the device does not have
+            kind = None
         if frame.type != MessageType.HELLO and frame.major != MAJOR:
             self.refuse(frame, ErrorCode.BAD_VERSION, MAJOR)
         elif kind is None:
@@ -238,6 +268,27 @@ class DeviceSession:
         self.tx.put_control(wire)
         return wire
 
+    def _changed(self, code: EventCode, arg: float) -> None:
+        """Follow what the state machine has just done, and tell it."""
+        self.event(code, arg)
+        if code is EventCode.STATE_CHANGED:
+            was_running, self._running = self._running, self.state is DriveState.RUNNING
+            if was_running and not self._running:
+                self.parameters.reset_volatile()
+            if self.capture and self.state is not DriveState.FAULT:  # FAULT tells itself
+                self.capture.state_changed(self._tick)
+        elif code is EventCode.FAULT and self.capture:
+            self.capture.fault(self._tick)
+
+    def _make_blobs(self, extras: Extras) -> Blobs:
+        features, meanings = self.identity.features, None
+        if features & Feature.MEANINGS:
+            names = {each.name for each in (*self.descriptor.channels, *self.descriptor.parameters)}
+            meanings = meanings_blob(extras.meanings, names)
+        waveform = extras.waveform if features & Feature.WAVEFORM else None
+        testing = lambda: self.parameters.testing  # noqa: E731
+        return Blobs(self.descriptor.pack(), self.capture, meanings, waveform, testing)
+
     def _send(self, message: Message) -> None:
         self.tx.put_event(self._encode(Frame(message.TYPE, MAJOR, 0, self.identity.node, message.pack())))
 
@@ -253,7 +304,7 @@ class DeviceSession:
             peer.hello = request.nonce, request.rx_max
             peer.replies.clear()
         told = asdict(identity) | {"tx_max": peer.tx_max, "nonce": request.nonce, "nodes": self.nodes}
-        del told["tick0"]  # the replies to STREAM_SET have it
+        del told["tick0"], told["capture_bytes"]  # other replies have them
         return HelloReply(major=MAJOR, minor=MINOR, schema_crc=self.descriptor.crc, state=self.state, **told)
 
     def _setpoint(self, request: Setpoint) -> None:
@@ -274,45 +325,31 @@ class DeviceSession:
         self.setpoints_rejected += 1
         self.event(EventCode.SETPOINT_REJECTED, float(code), detail)
 
-    def _blob_read(self, request: BlobRead) -> BlobReply:
-        if request.id:
-            raise Refused(f"no blob {request.id}", ErrorCode.UNKNOWN_ID, request.id)
-        total = len(self._blob)
-        if request.offset > total:
-            raise Refused(f"offset {request.offset}", ErrorCode.OUT_OF_RANGE, total)
-        room = self._peer.tx_max - BlobReply.FIXED_BYTES
-        data = self._blob[request.offset : request.offset + min(request.length, room)]
-        return BlobReply(0, len(data), request.offset, total, data)
+    def _capture_arm(self, request: CaptureArm) -> CaptureReply:
+        assert self.capture
+        self.capture.arm(request)
+        return self.capture.describe(self._peer.tx_max)
 
-    def _parameter(self, number: int) -> Parameter:
-        parameter = self._parameters.get(number)
-        if parameter is None:
-            raise Refused(f"no parameter {number}", ErrorCode.UNKNOWN_ID, number)
-        return parameter
-
-    def _param_get(self, request: ParamGet) -> ParamReply:
-        parameter = self._parameter(request.id)
-        value, default = self.app.get_param(parameter.name), self.app.default_param(parameter.name)
-        return ParamReply(request.id, value, parameter.lo, parameter.hi, default)
-
-    def _param_set(self, request: ParamSet) -> ParamStored:
-        parameter, value = self._parameter(request.id), request.value
-        lo, hi = float(np.float32(parameter.lo)), float(np.float32(parameter.hi))
-        if parameter.flags & Flag.READ_ONLY:
-            raise Refused(f"{parameter.name} is read-only", ErrorCode.READ_ONLY, request.id)
-        if not math.isfinite(value) or (parameter.flags & Flag.WHOLE and value != round(value)):
-            raise Refused(f"{parameter.name} = {value}", ErrorCode.BAD_VALUE, value)
-        if not lo <= value <= hi:
-            raise Refused(f"{parameter.name} = {value}", ErrorCode.OUT_OF_RANGE, lo if value < lo else hi)
-        if parameter.flags & Flag.IDLE_ONLY and self.app.outputs_on:
-            raise Refused(f"{parameter.name} with outputs on", ErrorCode.WRONG_STATE, self.state)
-        self.app.set_param(parameter.name, value)
-        return ParamStored(request.id, self.app.get_param(parameter.name))
+    def _capture_status(self, request: CaptureStatus) -> CaptureReply:
+        assert self.capture
+        return self.capture.describe(self._peer.tx_max)
 
     def _param_commit(self, request: ParamCommit) -> None:
         if self.app.outputs_on:
             raise Refused("outputs are on", ErrorCode.WRONG_STATE, self.state)
         self.app.commit()
+
+
+def _had(identity: Identity, extras: Extras) -> Feature:
+    """Return those of the features for which there is what they need."""
+    lacking = Feature(0)
+    if not identity.capture_bytes:
+        lacking |= Feature.CAPTURE
+    if not extras.meanings:
+        lacking |= Feature.MEANINGS
+    if extras.waveform is None:
+        lacking |= Feature.WAVEFORM
+    return identity.features & ~lacking
 
 
 def _always_executed(frame: Frame) -> bool:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from protocol.descriptor import sample_dtype
 from protocol.device.app import Identity
-from protocol.device.carrier import Carrier, EdgeStream, Run, SampleStream, Shape
+from protocol.device.carrier import Carrier, EdgeStream, SampleStream, Shape
+from protocol.device.records import Means, Records, Values, check_channels, rows_of
 from protocol.errors import Refused
 from protocol.messages import ErrorCode, Feature, StreamEvent, StreamInfo, StreamReply, StreamSet
 from protocol.signals import Signal
@@ -58,7 +59,8 @@ class StreamTable:
     def configure(self, request: StreamSet, tx_max: int) -> StreamReply:
         """Carry out STREAM_SET; Refused, nothing changed, if it cannot be done."""
         self._check(request)
-        widths = [np.dtype(self._channels[number].raw.dtype).itemsize for number in request.channels]
+        records = self._records(request)
+        widths = records.widths
 
         def shape_at(decimation: int) -> Shape:
             return self._carrier.shape(request, widths, tx_max, self._identity.pwm_hz, decimation)
@@ -75,8 +77,8 @@ class StreamTable:
             size = EDGE_RECORD.itemsize
             stream = self._carrier.edges(node, request, cfg_id, shape.block)
         else:
-            size, runs = sum(widths), self._runs(request.channels)
-            stream = self._carrier.samples(node, request, cfg_id, widths, runs, shape.block, ticks)
+            size = sum(widths)
+            stream = self._carrier.samples(node, request, cfg_id, records, shape.block, ticks)
         self._forget(request.stream)
         self._streams[request.stream] = stream
         self._cfg_id = cfg_id
@@ -119,9 +121,7 @@ class StreamTable:
         streams = [each for each in self._streams.values() if isinstance(each, SampleStream) and each.running]
         if not streams or not len(raw):
             return
-        if raw.dtype != self._dtype:
-            raise TypeError(f"samples of {raw.dtype}, the channels make {self._dtype}")
-        rows = np.ascontiguousarray(raw).view(np.uint8).reshape(len(raw), -1)
+        rows = rows_of(raw, self._dtype)
         if any(stream.fills_block(index0, len(rows)) for stream in streams):
             self._flush_edges()
         for stream in streams:
@@ -184,29 +184,17 @@ class StreamTable:
             if request.channels:
                 raise Refused("an edge stream has no channels", ErrorCode.BAD_VALUE, len(request.channels))
             return
-        if request.event != StreamEvent.PWM:
+        means = request.event == StreamEvent.MEAN and self._identity.features & Feature.MEANS
+        if request.event != StreamEvent.PWM and not means:
             raise Refused(f"no stream of {request.event.name}", ErrorCode.NOT_SUPPORTED, request.event)
         if not request.decimation:
             raise Refused("decimation 0", ErrorCode.BAD_VALUE, 0)
-        if not request.channels:
-            raise Refused("no channels", ErrorCode.BAD_VALUE, 0)
-        for position, number in enumerate(request.channels):
-            if number not in self._channels:
-                raise Refused(f"no channel {number}", ErrorCode.UNKNOWN_ID, number)
-            if number in request.channels[:position]:
-                raise Refused(f"channel {number} comes twice", ErrorCode.BAD_VALUE, number)
+        check_channels(request.channels, self._channels)
 
-    def _runs(self, ids: Sequence[int]) -> list[Run]:
-        """Return where the channels lie in a full sample, in the order of the packed one, neighbours joined."""
-        runs: list[Run] = []
-        for number in ids:
-            dtype, start = self._dtype.fields[self._channels[number].name][:2]  # type: ignore[index]
-            end = start + dtype.itemsize
-            if runs and runs[-1].stop == start:
-                runs[-1] = slice(runs[-1].start, end)
-            else:
-                runs.append(slice(start, end))
-        return runs
+    def _records(self, request: StreamSet) -> Records:
+        """Return what makes the records of a stream of samples."""
+        kind = Means if request.event == StreamEvent.MEAN else Values
+        return kind(self._dtype, [self._channels[number] for number in request.channels], request.decimation)
 
     def _load(self, request: StreamSet, rate: float) -> float:
         """Return the share of the link that all configured streams need, this one at `rate`; 0 if unknown."""

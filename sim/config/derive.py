@@ -17,6 +17,7 @@ from typing import Any
 from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS
 from sim.config.errors import DERIVED, ConfigError
 
+HELD = 30.0  # s for which a cold winding is let have i_max
 PAPER_E = 1980.0  # rad/s, electrical speed of the paper's motor at its omega_m_max of 330 rad/s
 RANGES = {
     section: {p.name: (p.lo, p.hi) for p in parameters}
@@ -101,6 +102,7 @@ RULES: dict[str, tuple[int, Callable[[Design], float]]] = {
     "firmware.i_max": (0, lambda d: d["motor.i_max"]),
     "firmware.omega_m_max": (0, lambda d: d.top),
     "firmware.hall_offset": (0, lambda d: math.remainder(math.radians(d["hall.offset_deg"]), math.tau)),
+    "firmware.encoder_lines": (0, lambda d: d["encoder.pulses_per_rev"]),
     "current_sensor.range": (2, lambda d: max(2.5 * d["motor.i_max"], 0.1)),
     "current_sensor.noise_rms": (2, lambda d: d["current_sensor.range"] / 1000.0),
     # the shaft and its load machine, by rated torque and speed
@@ -143,6 +145,15 @@ RULES: dict[str, tuple[int, Callable[[Design], float]]] = {
     "firmware.protection.u_dc_min": (3, lambda d: 0.5 * d["inverter.u_dc"]),
     "firmware.protection.u_dc_max": (3, lambda d: 4.0 / 3.0 * d["inverter.u_dc"]),
     "firmware.protection.i_trip": (2, lambda d: 2.0 * (d["firmware.i_max"] or d["motor.i_max"])),
+    "firmware.protection.i_cont": (2, lambda d: 0.7 * (d["firmware.i_max"] or d["motor.i_max"])),
+    "firmware.protection.i2t_max": (
+        2,
+        lambda d: HELD * ((d["firmware.i_max"] or d["motor.i_max"]) ** 2 - d["firmware.protection.i_cont"] ** 2),
+    ),
+    "firmware.protection.u_test_max": (
+        2,
+        lambda d: min(1.5 * d["motor.R_s"] * (d["firmware.i_max"] or d["motor.i_max"]), d.u_max),
+    ),
     "firmware.protection.omega_m_trip": (2, lambda d: 1.2 * (d["firmware.omega_m_max"] or d.top)),
     # the inverter: its dead-time error reaches as far as the ripple
     "inverter.i_smooth": (

@@ -44,6 +44,19 @@ def _like(parameter: Parameter) -> Any:
 
 _DRIVE = {p.name: _like(p) for p in DRIVE_PARAMETERS}
 _LOAD = {p.name: _like(p) for p in LOAD_PARAMETERS}
+AT_BOOT = {
+    "forced": 0.0,
+    "forced_speed": 0.0,
+    "forced_angle": 0.0,
+    "forced_slope": 100.0,
+    "test": 0.0,
+    "test_voltage": 0.0,
+    "test_current": 0.0,
+    "test_speed": 0.0,
+    "test_periods": 8.0,
+    "test_length": 0.0,
+}
+"""Parameters of the drive that no configuration has: each boot begins with these."""
 
 
 class Section(BaseModel):
@@ -330,6 +343,12 @@ class Clock(Section):
         return self.tick_hz // self.pwm_hz
 
 
+class Memory(Section):
+    """The drive's memory."""
+
+    capture: Whole = _number("bytes", ge=0, le=1 << 28)
+
+
 class HallSpeed(Section):
     """Front end of the Hall sensors in the firmware."""
 
@@ -408,6 +427,9 @@ class Protection(Section):
     omega_m_trip: float = _DRIVE["omega_m_trip"]
     u_dc_min: float = _DRIVE["u_dc_min"]
     u_dc_max: float = _DRIVE["u_dc_max"]
+    i_cont: float = _DRIVE["i_cont"]
+    i2t_max: float = _DRIVE["i2t_max"]
+    u_test_max: float = _DRIVE["u_test_max"]
     omega_trip_time: float = _number("s", gt=0)
     hall_fault_time: float = _number("s", gt=0)
     hall_fault_count: Whole = _number(ge=2, le=1000)
@@ -436,6 +458,9 @@ class Firmware(Section):
     hall_offset: float = _DRIVE["hall_offset"]
     hall_swap_hat: Whole = _DRIVE["hall_swap_hat"]
     hall_invert_hat: Whole = _DRIVE["hall_invert_hat"]
+    encoder_lines: Whole = _DRIVE["encoder_lines"]
+    encoder_reverse: Whole = _DRIVE["encoder_reverse"]
+    encoder_zero: float = _DRIVE["encoder_zero"]
     observer: Whole = _DRIVE["observer"]
     watchdog: float = _DRIVE["watchdog"]
     hall_speed: HallSpeed
@@ -465,6 +490,7 @@ class BenchParams(Section):
     inverter: Inverter
     current_sensor: CurrentSensor
     clock: Clock
+    memory: Memory
     firmware: Firmware
 
     @model_validator(mode="after")
@@ -514,7 +540,7 @@ class BenchParams(Section):
     def drive_parameters(self) -> dict[str, float]:
         """The initial values of the drive's `DRIVE_PARAMETERS` by name."""
         own = {name: value for name, value in self.firmware.leaves() if name in _DRIVE}
-        return own | {"i_range": self.current_sensor.range}
+        return own | AT_BOOT | {"i_range": self.current_sensor.range}
 
     def load_parameters(self) -> dict[str, float]:
         """The initial values of the load machine's `LOAD_PARAMETERS` by name."""

@@ -44,14 +44,18 @@ def init(omega_m: float, i_q: float) -> State:
 
 
 @kernel
+def ramped(params: Params, state: State, omega_m_target: float) -> float:
+    """The reference after the ramp of the coming period, rad/s."""
+    return state.omega_m_ref + clip(omega_m_target - state.omega_m_ref, params.d_omega_max)
+
+
+@kernel
 def step(params: Params, state: State, omega_m_target: float, omega_m: float) -> tuple[State, float]:
     """One control period: (state, i_q reference in A), |i_q_ref| <= i_max.
 
     The integral stands still while the output is at its limit and the error would drive it further.
     """
-    change = omega_m_target - state.omega_m_ref
-    change = clip(change, params.d_omega_max)
-    omega_m_ref = state.omega_m_ref + change
+    omega_m_ref = ramped(params, state, omega_m_target)
     error = omega_m_ref - omega_m
     i_q_i = state.i_q_i + params.k_i_T * error
     i_q_ref = params.k_p * error + i_q_i

@@ -21,13 +21,29 @@ from protocol.signals import (
     DRIVE_PARAMETERS,
     LOAD_CHANNELS,
     LOAD_PARAMETERS,
+    MILLI,
     AngleSource,
     Flag,
     Parameter,
+    Signal,
 )
 from sim.config.params import ConfigError
 from sim.drive.channels import SOURCES, channels
 from sim.drive.machine import SimulatedBench
+
+AT_A_FAULT = frozenset(
+    "hall status theta_enc omega_enc i_a i_b i_c u_alpha u_beta u_dc i_d i_q i_d_ref i_q_ref omega_ref "  # noqa: SIM905
+    "theta_avg omega_avg theta_vt omega_vt theta_ctrl".split()
+)
+"""Channels of the capture that waits for a fault: what is measured and controlled, and estimated in any case."""
+ROUNDED = 2.0 * MILLI  # V, by which a voltage as telemetry carries it may be another
+LIMITED = {
+    "forced_speed": ("electrical speed", ("n_p", "omega_m_max")),
+    "test_voltage": ("voltage", ("u_test_max",)),
+    "test_current": ("current", ("i_max",)),
+    "test_speed": ("speed", ("omega_m_max",)),
+}
+"""Parameters of commissioning that others limit: what they are, and the others, whose product is the limit."""
 
 
 class DriveApp:
@@ -48,10 +64,19 @@ class DriveApp:
         self.channels = channels(bench.params)
         """See `DeviceApp`."""
         sources = float(AngleSource.ENCODER if encoder else AngleSource.AVERAGE_SPEED), float(max(SOURCES))
+        self.waveform = bench.waveform
+        """See `DeviceApp`."""
+        ranges = {"observer": sources, "test_length": (0.0, float(len(self.waveform)))}
         self.parameters = tuple(
-            replace(p, lo=sources[0], hi=sources[1]) if p.name == "observer" else p for p in DRIVE_PARAMETERS
+            replace(p, lo=ranges[p.name][0], hi=ranges[p.name][1]) if p.name in ranges else p
+            for p in DRIVE_PARAMETERS
+            if encoder or not p.name.startswith("encoder_")
         )
         """See `DeviceApp`."""
+        self.meanings = _meanings(self.channels, self.parameters)
+        """See `protocol.device.app.Extras`."""
+        self.fault_channels = tuple(channel.name for channel in self.channels if channel.name in AT_A_FAULT)
+        """See `protocol.device.app.Extras`."""
         if store is not None:
             for name, value in _read_store(store, self.parameters).items():
                 bench.set_param(name, value)
@@ -73,9 +98,24 @@ class DriveApp:
         return persisting
 
     def setpoint(self, mode: SetpointMode, value: float, value2: float) -> None:
-        """SPEED (mechanical rad/s) up to `omega_m_max`, CURRENT (i_q, i_d in A) up to `i_max` together."""
+        """SPEED (mechanical rad/s) up to `omega_m_max`, with i_d (A); CURRENT (i_q, i_d in A) up to `i_max` together.
+
+        VOLTAGE (u_q, u_d in V) up to `u_test_max`, which it may not be further away from the present voltage either.
+        """
         if mode is SetpointMode.SPEED:
+            if self.get_param("forced"):
+                raise Refused("SPEED needs a speed that is measured: forced is 1", ErrorCode.NOT_SUPPORTED, mode)
             _limit("speed", abs(value), self.get_param("omega_m_max"))
+            _limit("d current", abs(value2), self.get_param("i_max"))
+        elif mode is SetpointMode.VOLTAGE:
+            if not self._knows_angle({}):
+                text = "VOLTAGE needs the forced angle or the encoder's: set forced to 1, or observer to 0"
+                raise Refused(text, ErrorCode.NOT_SUPPORTED, mode)
+            most = self.get_param("u_test_max")
+            _limit("voltage", math.hypot(value, value2), most)
+            jump = abs(complex(value2, value) - self._bench.voltage)
+            if jump > most + ROUNDED:
+                raise Refused(f"the voltage would jump by {jump:.3g} V, above {most:g}", ErrorCode.OUT_OF_RANGE, most)
         elif mode is SetpointMode.CURRENT:
             _limit("current", math.hypot(value, value2), self.get_param("i_max"))
         else:
@@ -92,7 +132,28 @@ class DriveApp:
 
     def set_param(self, name: str, value: float) -> None:
         """See `DeviceApp`."""
+        self._check(name, value)
         self._bench.set_param(name, value)
+
+    def _check(self, name: str, value: float) -> None:
+        """Refuse what a parameter of commissioning cannot be now."""
+        if name in LIMITED:
+            of, limits = LIMITED[name]
+            _limit(of, abs(value), math.prod(self.get_param(limit) for limit in limits))
+        elif name == "test" and value and self.get_param("test"):
+            raise Refused("another test signal is on: set test to 0 first", ErrorCode.BUSY, value)
+        elif name == "forced" and value and self._bench.mode == SetpointMode.SPEED:
+            raise self._in_use("SPEED needs a speed that is measured")
+        elif self._bench.mode == SetpointMode.VOLTAGE and not self._knows_angle({name: value}):
+            raise self._in_use("VOLTAGE needs the forced angle or the encoder's")
+
+    def _knows_angle(self, changed: dict[str, float]) -> bool:
+        """Whether the control's angle is forced or the encoder's, with these parameters changed."""
+        values = self._bench.parameters | changed
+        return bool(values["forced"]) or values["observer"] == AngleSource.ENCODER
+
+    def _in_use(self, why: str) -> Refused:
+        return Refused(f"{why}, and is in use: give another setpoint first", ErrorCode.WRONG_STATE, DriveState.RUNNING)
 
     def commit(self) -> None:
         """Write the store, whole or not at all."""
@@ -100,7 +161,7 @@ class DriveApp:
             raise Refused("this drive has no store", ErrorCode.NOT_SUPPORTED)
         new = self._store.with_name(self._store.name + ".new")
         try:
-            settable = {p.name for p in self.parameters if not p.flags & Flag.READ_ONLY}
+            settable = {p.name for p in self.parameters if not p.flags & (Flag.READ_ONLY | Flag.VOLATILE)}
             values = {name: value for name, value in self._bench.parameters.items() if name in settable}
             new.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
             os.replace(new, self._store)
@@ -118,6 +179,8 @@ class LoadApp:
 
     def __init__(self, bench: SimulatedBench) -> None:
         self._bench = bench
+        self.meanings = _meanings(self.channels, self.parameters)
+        """See `protocol.device.app.Extras`."""
         self._defaults = dict(bench.load_parameters)
         self.outputs_on = False
         """See `DeviceApp`."""
@@ -161,6 +224,11 @@ class LoadApp:
         raise Refused("the load machine has no store", ErrorCode.NOT_SUPPORTED)
 
 
+def _meanings(channels: Sequence[Signal], parameters: Sequence[Parameter]) -> dict[str, str]:
+    """What these are, by name."""
+    return {channel.name: channel.about for channel in channels} | {each.name: each.about for each in parameters}
+
+
 def _limit(what: str, size: float, limit: float) -> None:
     if size > limit:
         raise Refused(f"{what} {size:g} is above {limit:g}", ErrorCode.OUT_OF_RANGE, limit)
@@ -173,7 +241,7 @@ def _read_store(path: Path, parameters: Sequence[Parameter]) -> dict[str, float]
         return {}
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot read the parameters in {path}: {error}; remove the file") from None
-    known = {parameter.name: parameter for parameter in parameters if not parameter.flags & Flag.READ_ONLY}
+    known = {p.name: p for p in parameters if not p.flags & (Flag.READ_ONLY | Flag.VOLATILE)}
     if not isinstance(stored, dict):
         raise ConfigError(f"{path} holds no parameters; remove the file")
     for name, value in stored.items():

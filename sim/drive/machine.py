@@ -21,13 +21,14 @@ from protocol.messages import DriveState, Fault, SetpointMode
 from protocol.signals import AngleSource, hall_map
 from protocol.streams import EDGE_RECORD
 from sim.config.params import BenchParams, ConfigError
+from sim.config.sections import AT_BOOT
 from sim.control import current_loop, dead_time, speed_loop
-from sim.drive import tick, tick_firmware
+from sim.drive import tick, tick_commission, tick_firmware
 from sim.drive import tick_protection as protection
 from sim.drive.channels import SOURCES, ampere
 from sim.drive.recorded import Recorded, Sections
 from sim.interrupts import Held
-from sim.native import Cells, value
+from sim.native import Cells, layout, value
 from sim.observers import average_speed, sample
 from sim.observers.entry import Observing, chosen
 from sim.observers.hall_speed import Edge
@@ -53,6 +54,7 @@ __all__ = ["SOURCES", "Recorded", "SimulatedBench", "Truth"]
 FRONT_END = AngleSource.AVERAGE_SPEED  # whose estimate the loop makes in any case
 ALWAYS = {AngleSource.VECTOR_TRACKING}  # observers that run in any case
 WARM_UP = 0.1  # s for which an observer runs before the control of a running motor takes its angle
+ENCODER_READING = {"encoder_lines", "encoder_reverse", "encoder_zero"}
 HALL_RING = ("hall_offset", "hall_swap_hat", "hall_invert_hat")
 SHOWN = 0.98  # of the largest speed that the Hall sensors show
 PORTION = 2048  # periods that run at most before the observers do: what they see is still near
@@ -90,6 +92,9 @@ class SimulatedBench:
         quantiles = noise.table()
         self._quantiles = Cells(float, len(quantiles))
         self._quantiles.array[:] = quantiles
+        self.waveform = np.zeros(tick_commission.SAMPLES, np.int16)
+        """Samples of the test signal, of which 32767 is its amplitude; they are read when `test` is set."""
+        self._waveform = Cells(float, tick_commission.SAMPLES)
         self._watched: frozenset[str] = frozenset()
         self._observers: dict[int, Observing] = {}  # by source, those that run
         self._sections = Sections(())
@@ -99,8 +104,11 @@ class SimulatedBench:
         self._params, self._state, self._command = Cells(tick.Params), Cells(tick.State), Cells(tick.Command)
         self._inputs = Cells(hall_input.State)
         self._told: tick.Command | None = None  # what the loop's command is
-        self._bench = self._params.at, self._state.at, self._inputs.at, self._command.at, self._quantiles.at
-        self._drive = tick_firmware.Command(int(DriveState.IDLE), 0, 0.0, 0.0, 0.0)
+        cells = self._params, self._state, self._inputs, self._command, self._quantiles, self._waveform
+        self._bench = [cell.at for cell in cells]
+        self._drive = _command(DriveState.IDLE)
+        self._commissioning = False  # the loop has been the one that can commission since the outputs went on
+        self._angle_set = False  # the forced angle has been told where to go at rest
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
         self._load_state = int(DriveState.IDLE)
         self._reset = False
@@ -189,7 +197,11 @@ class SimulatedBench:
         elif self.n < self._slips:
             faults = faults.replace(encoder=faults.encoder.replace(slip_deg=0.0))
         self._now = p if faults is p.faults else p.replace(faults=faults)
-        self._constants = self._params.first = _make(self._now, self.parameters, self.load_parameters)
+        drive = self.parameters
+        special = tick_commission.make_params(drive, p.clock.pwm_hz, self._commissioning, self._angle_set)
+        if not special.on:
+            self._state.array["firmware"]["commission"] = np.zeros(1, layout(tick_commission.State))
+        self._constants = self._params.first = _make(self._now, drive, self.load_parameters, special)
         self._advance = tick.loop(self._constants)
         self._warm()
 
@@ -234,15 +246,42 @@ class SimulatedBench:
         if state != DriveState.RUNNING:
             self._used, self._source_from, self._source_before = set(), 0, self._source
             self._choose()
-        self._drive = tick_firmware.Command(int(state), 0, 0.0, 0.0, 0.0)
+            if self._commissioning:
+                self._commissioning = False
+                self._set_params()
+        self._drive = _command(state)
 
     def setpoint(self, mode: SetpointMode, value: float, value2: float = 0.0) -> None:
-        """Drive: SPEED in mechanical rad/s, or CURRENT: i_q and i_d in A."""
-        command = tick_firmware.Command(self._drive.state, int(mode), 0.0, 0.0, 0.0)
+        """Drive: SPEED in mechanical rad/s and i_d in A; CURRENT: i_q and i_d in A; or VOLTAGE: u_q and u_d in V."""
+        command = _command(self._drive.state)._replace(mode=int(mode))
         if mode == SetpointMode.SPEED:
-            self._drive = command._replace(omega_m=float(value))
+            self._drive = command._replace(omega_m=float(value), i_d=float(value2))
+        elif mode == SetpointMode.VOLTAGE:
+            self._drive = command._replace(u_q=float(value), u_d=float(value2))
         else:
             self._drive = command._replace(i_q=float(value), i_d=float(value2))
+        if mode == SetpointMode.VOLTAGE or (mode == SetpointMode.SPEED and value2):
+            self._commission()
+
+    def _commission(self) -> None:
+        """Run the loop that can commission until the outputs are off: what has been in use has to end smoothly, too."""
+        if not self._commissioning:
+            self._commissioning = True
+            self._set_params()
+
+    @property
+    def mode(self) -> int:
+        """SetpointMode that is in use; 0: none."""
+        return self._drive.mode if self.outputs_on else 0
+
+    @property
+    def voltage(self) -> complex:
+        """What the control computed last, without its test signal: u_d + j u_q in its own frame, V."""
+        firmware = self._state.array["firmware"][0]
+        out, special, angle = firmware["driving"]["next"], firmware["commission"], firmware["angle"]
+        u = complex(out["u_alpha"] - special["u_alpha"], out["u_beta"] - special["u_beta"])
+        theta = angle["theta"] + 1.5 * angle["omega"] / self.params.clock.pwm_hz
+        return u * complex(math.cos(theta), -math.sin(theta))
 
     def clear_faults(self) -> None:
         """Forget the latched faults; what still has a cause comes back as soon as the drive is ARMED."""
@@ -271,7 +310,26 @@ class SimulatedBench:
             self._observe(int(value))
         self._reset |= name in HALL_RING  # what observers remember was in another frame
         self.parameters[name] = _f32(value)
+        self._commissioning |= name in AT_BOOT and self.outputs_on
+        if name in ("forced", "forced_angle"):
+            goes = self._angle_set or bool(self.parameters["forced_angle"]) or name == "forced_angle"
+            self._angle_set = bool(self.parameters["forced"]) and goes
+        elif name == "test":
+            self._begin_test()
         self._set_params()
+        if name in ENCODER_READING:
+            self._begin_tracking()
+
+    def _begin_test(self) -> None:
+        """The test signal begins anew, with the waveform as it is now."""
+        self._waveform.array[:] = self.waveform / tick_commission.FULL
+        self._state.array["firmware"]["commission"]["begun"] = 0
+
+    def _begin_tracking(self) -> None:
+        """The encoder's filter begins anew, at rest: it remembers a counter of another length."""
+        index = value(encoder.Index, self._state.array["counter"][0])
+        counter = encoder.counted(self._constants.encoder, index, index.last)
+        self._state.array["encoder"][0] = encoder.init(counter)
 
     def set_load_param(self, name: str, value: float) -> None:
         """Set a parameter of the load machine, as a float32; a fault on the wires is there from the next period on.
@@ -368,7 +426,14 @@ def _sections(sources: tuple[int, ...]) -> Sections:
     return Sections([SOURCES[source] for source in sources])
 
 
-def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float]) -> tick.Params:
+def _command(state: int) -> tick_firmware.Command:
+    """Nothing is asked for in this state."""
+    return tick_firmware.Command(int(state), 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def _make(
+    p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float], special: tick_commission.Params
+) -> tick.Params:
     """The kernels' constants for a bench whose firmware has the parameters `drive`, and its load machine `load`."""
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
@@ -377,6 +442,9 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
         n_p_hat=drive["n_p"],
         T_s=period,
     )._replace(latency=p.encoder.latency, resets=p.encoder.index_resets)
+    shaft_encoder = encoder.read_as(
+        shaft_encoder, drive["encoder_lines"], drive["encoder_reverse"], drive["encoder_zero"]
+    )
     shaft_encoder = encoder.make_faulty(shaft_encoder, **p.faults.encoder.model_dump(exclude={"slip_at"}))
     motor = _motor(p)
     J = p.mechanics.J * (1.0 - p.coupling.load_share) if p.coupling.stiffness else p.mechanics.J
@@ -407,6 +475,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
                 **_some(drive, "dead_time_hat", "dead_time_comp", "dead_time_learn", "L_s_hat", "R_s_hat", "omega_on"),
             ),
             _protection(p, drive),
+            special,
             period,
             drive["n_p"],
             ampere(p),

@@ -159,6 +159,7 @@ class Steered(NamedTuple):
     omega_ref: float
     dead_time_left: float
     dead_time_near: float
+    theta_ctrl: float
 
 
 RECORDS = Moved, Sampled, Steered
@@ -433,7 +434,9 @@ def usual(params: Params) -> Params:
         rock=params.rock._replace(speed=0.0),
         current_sensor=params.current_sensor._replace(delay=0.0),
         encoder=params.encoder._replace(eccentric=0.0, within=0.0, latency=0.0, lost=0.0),
-        firmware=firmware._replace(dead_time=firmware.dead_time._replace(learn=0)),
+        firmware=firmware._replace(
+            dead_time=firmware.dead_time._replace(learn=0), commission=firmware.commission._replace(on=0)
+        ),
         substeps=1,
     )
 
@@ -445,6 +448,7 @@ def _advance(
     inputs: Pointer[hall_input.State],
     command_: Pointer[Command],
     quantiles: Pointer[float],
+    waveform: Pointer[float],
     n: int,
     reset: Pointer[np.uint8],
     moved: Pointer[Moved],
@@ -571,14 +575,16 @@ def _advance(
             seen.i_alpha,
             seen.i_beta,
         )
-        firmware, result = tick_firmware.step(params.firmware, firmware, command.drive, seen_by_protection, seen, angle)
+        firmware, result = tick_firmware.step(
+            params.firmware, firmware, command.drive, seen_by_protection, seen, angle, waveform
+        )
 
         drive_state = FAULT if firmware.faults != 0 else command.drive.state
-        status = drive_state | (min(command.source, OTHER_SOURCE) << STATUS_SOURCE_SHIFT)
+        status = drive_state | (min(command.source, OTHER_SOURCE) << STATUS_SOURCE_SHIFT) | result.status
         if reset[j] != 0:
             status |= RESET
         left = firmware.dead_time.left
-        steered[j] = Steered(status, result.i_d, result.i_q, result.omega_ref, left.full, left.near)
+        steered[j] = Steered(status, result.i_d, result.i_q, result.omega_ref, left.full, left.near, result.theta)
         tick = state.tick + params.period_ticks
         state = State(k + 1, tick, world, front, tracker, index, firmware)
     state_[0] = state

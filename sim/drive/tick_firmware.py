@@ -3,6 +3,8 @@
 Voltages and duties that are computed from the sample at k are in force from k + 1 to k + 2. The control uses the angle
 of one source, and changes over to another without a bump.
 
+What commissioning needs, an angle that is made and a voltage that is given, is in `tick_commission`.
+
 It sees sensors only: rounded currents, Hall codes and edges, encoder counts, the DC link voltage. Never the
 plant. It runs no observer (`tick` does): it is told angle and speed by the source.
 
@@ -17,19 +19,23 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from protocol.messages import DriveState, SetpointMode
-from protocol.signals import MILLI, AngleSource
+from protocol.signals import MILLI, AngleSource, Status
 from sim.circle import cos_sin
 from sim.control import current_loop, dead_time, modulation, speed_loop
 from sim.control.transforms import inverse_clarke, inverse_park, park
+from sim.drive import tick_commission as commission
 from sim.drive import tick_protection as protection
 from sim.drive.tick_record import PER_UNIT, quantised
+from sim.native import Pointer
 from sim.numba_cache import kernel
 from sim.observers.sample import Sample
 from sim.plant.integrator import turn
 
 ARMED, RUNNING, FAULT = int(DriveState.ARMED), int(DriveState.RUNNING), int(DriveState.FAULT)
-MODE_SPEED = int(SetpointMode.SPEED)
+MODE_SPEED, MODE_VOLTAGE = int(SetpointMode.SPEED), int(SetpointMode.VOLTAGE)
 ENCODER, AVERAGE_SPEED = int(AngleSource.ENCODER), int(AngleSource.AVERAGE_SPEED)
+FORCED = -1  # the source of an angle that is made
+CYCLE = int(Status.INJECTION_SYNC)
 
 
 Two = tuple[float, float]
@@ -42,6 +48,7 @@ class Params(NamedTuple):
     speed: speed_loop.Params
     dead_time: dead_time.Params
     protection: protection.Params
+    commission: commission.Params
     T_s: float
     n_p: float
     ampere: float  # A a count of telemetry
@@ -55,8 +62,10 @@ class Command(NamedTuple):
     state: int  # DriveState
     mode: int  # SetpointMode, 0: none yet
     omega_m: float  # SPEED: mechanical rad/s
-    i_d: float  # CURRENT, A
+    i_d: float  # CURRENT, and beside a speed, A
     i_q: float
+    u_d: float  # VOLTAGE, V
+    u_q: float
 
 
 class Output(NamedTuple):
@@ -85,7 +94,7 @@ class Driving(NamedTuple):
 class Angle(NamedTuple):
     """What the control works with at a sample, and where it is from."""
 
-    source: int  # AngleSource
+    source: int  # AngleSource, or FORCED
     theta: float  # electrical rad
     omega: float  # rad/s
 
@@ -100,6 +109,7 @@ class State(NamedTuple):
     dead_time: dead_time.State
     driving: Driving
     protection: protection.State
+    commission: commission.State
     faults: int  # latched Fault bits
 
 
@@ -109,6 +119,8 @@ class Result(NamedTuple):
     i_d: float
     i_q: float
     omega_ref: float
+    theta: float  # electrical rad, that the control used
+    status: int  # bits beside state and source
 
 
 @kernel
@@ -127,7 +139,7 @@ def at_rest() -> Driving:
 def init() -> State:
     """The state at boot."""
     nothing = current_loop.init(), speed_loop.init(0.0, 0.0), dead_time.init()
-    return State(Angle(ENCODER, 0.0, 0.0), 0.0, *nothing, at_rest(), protection.init(), 0)
+    return State(Angle(ENCODER, 0.0, 0.0), 0.0, *nothing, at_rest(), protection.init(), commission.init(), 0)
 
 
 @kernel
@@ -176,15 +188,56 @@ def _learnt(
 
 
 @kernel
+def _voltage(
+    params: Params,
+    state: State,
+    command: Command,
+    angle: Angle,
+    tested: float,
+    loop: current_loop.State,
+    u: Two,
+    u_max: float,
+    cos: float,
+    sin: float,
+) -> tuple[commission.State, current_loop.State, Two]:
+    """What becomes of the loop's voltage `u` (d, q): a given one, one that goes on, and the test signal beside it."""
+    before = state.driving
+    turned = params.T_s * state.angle.omega
+    old = commission.going_on(state.commission, before.next.u_alpha, before.next.u_beta, turned, cos, sin)
+    other_frame = (state.angle.source == FORCED) != (angle.source == FORCED)
+    if command.mode == MODE_VOLTAGE:
+        loop = current_loop.init()
+        u = commission.given(params.commission, old, command.u_d, command.u_q)
+    elif before.next.on == 1 and (before.mode == MODE_VOLTAGE or other_frame):
+        loop = commission.taken_over(loop, u, old)
+        u = old
+    special, u = commission.with_test(params.commission, state.commission, tested, u, u_max, cos, sin)
+    return special, loop, u
+
+
+@kernel
 def step(
-    params: Params, state: State, command: Command, sensed: protection.Sensed, seen: Sample, angle: Angle
+    params: Params,
+    state: State,
+    command: Command,
+    sensed: protection.Sensed,
+    seen: Sample,
+    angle: Angle,
+    waveform: Pointer[float],
 ) -> tuple[State, Result]:
     """One control period: protection, loops, modulation. `seen`: the sample as the observers see it.
 
     On return `state.driving.now` is what is in force until the next sample.
     """
     before = state.driving
-    protected = protection.step(params.protection, state.protection, sensed, before.now.on == 1)
+    special = state.commission
+    if params.commission.on == 1:
+        on = command.state == RUNNING and state.faults == 0
+        special = commission.forced(params.commission, special, angle.theta, on)
+        if special.forced == 1:
+            angle = Angle(FORCED, special.theta, special.omega)
+    by_hall = angle.source != ENCODER and angle.source != FORCED
+    protected = protection.step(params.protection, state.protection, sensed, before.now.on == 1, by_hall)
     faults = state.faults
     if command.state == ARMED or command.state == RUNNING:
         faults |= protected.causes
@@ -207,6 +260,13 @@ def step(
     i_q_back = 0.0
     omega_ref = 0.0
     output = output_off()
+    tested = 0.0
+    added = 0.0
+    status = 0
+    if params.commission.on == 1:
+        on = command.state == RUNNING and faults == 0
+        special, tested, cycle = commission.tested(params.commission, special, waveform, on)
+        status = CYCLE * cycle
     if command.state == RUNNING and faults == 0:
         mode = command.mode
         if state.angle.source != angle.source and before.next.on == 1:
@@ -214,17 +274,37 @@ def step(
         if mode == MODE_SPEED:
             if before.mode != MODE_SPEED:
                 speed = speed_loop.init(omega / params.n_p, before.i_q_ref)
-            speed, i_q_ref = speed_loop.step(params.speed, speed, command.omega_m, omega / params.n_p)
+            limits = params.speed
+            if params.commission.on == 1:
+                i_d_ref = command.i_d
+                limits = commission.speed_limits(params.commission, limits, i_d_ref)
+                ref = speed_loop.ramped(limits, speed, command.omega_m)
+                added = commission.added_speed(params.commission, tested, ref)
+            speed, i_q_ref = speed_loop.step(limits, speed, command.omega_m, omega / params.n_p - added)
             omega_ref = speed.omega_m_ref * params.n_p
+            if params.commission.on == 1:
+                omega_ref += added * params.n_p
         else:
             i_d_ref = command.i_d
             i_q_ref = command.i_q
+        if params.commission.on == 1:
+            if mode == MODE_VOLTAGE:  # nothing is asked of the currents, and nothing is wrong with them
+                i_d_ref, i_q_ref = i_d, i_q
+            else:
+                i_d_ref, i_q_ref = commission.currents(params.commission, tested, i_d_ref, i_q_ref)
         i_d_ref = quantised(i_d_ref, params.ampere, params.per_ampere)
         i_q_ref = quantised(i_q_ref, params.ampere, params.per_ampere)
+        u_max = modulation.linear_limit(sensed.u_dc)
         current, u_d, u_q, i_q_back = current_loop.step(
-            params.current, current, i_d_ref, i_q_ref, i_d, i_q, smooth, modulation.linear_limit(sensed.u_dc)
+            params.current, current, i_d_ref, i_q_ref, i_d, i_q, smooth, u_max
         )
         cos, sin = turn(cos, sin, 1.5 * params.T_s * smooth)
+        if params.commission.on == 1:
+            state = state._replace(commission=special)
+            special, current, (u_d, u_q) = _voltage(
+                params, state, command, angle, tested, current, (u_d, u_q), u_max, cos, sin
+            )
+            i_q_back = 0.0 if mode == MODE_VOLTAGE else i_q_back
         output = _modulate(params, learned.left, sensed.u_dc, (u_d, u_q), (i_d, i_q), cos, sin)
         now = before.next
     else:
@@ -232,4 +312,5 @@ def step(
         speed = speed_loop.init(0.0, 0.0)
         now = output
     driving = Driving(mode, i_d_ref, i_q_ref, quantised(i_q, params.ampere, params.per_ampere), i_q_back, now, output)
-    return State(angle, omega_h, current, speed, learned, driving, protected, faults), Result(i_d, i_q, omega_ref)
+    state = State(angle, omega_h, current, speed, learned, driving, protected, special, faults)
+    return state, Result(i_d, i_q, omega_ref, theta, status)

@@ -1,7 +1,8 @@
 """The firmware's protection: which faults have a cause at a sample.
 
 Currents and DC link voltage: at once. Speed: at once by the encoder; without one by the Hall sensors, once it has
-stood for a while, because one false edge makes any speed.
+stood for a while, because one false edge makes any speed. Heat of the winding: once the excess of the squared current
+vector over `i_cont` squared, added up and never below zero, is above `i2t_max`.
 
 Hall sensors, by a level of doubt between 0 and 1 that trips when it is full:
 - a sample with the code 000 or 111 adds T_s / `hall_fault_time`;
@@ -20,6 +21,7 @@ counts if what is left is more than
 - what currents can have left in that direction, however they turn, if R_s_hat and L_s_hat are anything from half to
   twice the true values, and a dead time's `hall_emf` is left along them.
 Any other turn takes one away. `hall_turns` trip.
+All that counts is counted always, and trips only while the control uses the Hall sensors.
 
 It never switches anything off: `tick_firmware` latches the faults.
 """
@@ -37,6 +39,7 @@ from sim.observers.hall_speed import SECTOR_WIDTH
 
 OVERCURRENT, OVERSPEED = int(Fault.OVERCURRENT), int(Fault.OVERSPEED)
 UNDERVOLTAGE, OVERVOLTAGE, HALL = int(Fault.UNDERVOLTAGE), int(Fault.OVERVOLTAGE), int(Fault.HALL)
+OVERLOAD = int(Fault.OVERLOAD)
 FULL = 1.0 - 1e-9  # doubt that trips: parts add up to 1 but for rounding
 SHARE = 0.3  # of 2 pi psi_f_hat; exchanged wires leave 0.95 of 2 pi psi_f, edges that are 10 deg off 0.1
 TURN = 6  # sectors
@@ -60,6 +63,9 @@ class Params(NamedTuple):
     left_min: float  # V, added up over samples
     R_s: float  # ohm
     L_by_T: float  # L_s / T_s
+    T_s: float
+    i_cont_square: float  # A2
+    i2t_max: float  # A2 s
 
 
 class Sensed(NamedTuple):
@@ -100,6 +106,7 @@ class State(NamedTuple):
     sector: int  # at the last sample
     i_alpha: float  # A, at the last sample
     i_beta: float
+    excess: float  # of the squared current, added up, A2 s
     causes: int  # Fault bits whose cause is there now
 
 
@@ -120,6 +127,9 @@ def make_params(pwm_hz: float, drive: Mapping[str, float], encoder: bool, limits
         SHARE * 2.0 * math.pi * drive["psi_f_hat"] * pwm_hz,
         drive["R_s_hat"],
         drive["L_s_hat"] * pwm_hz,
+        T_s,
+        drive["i_cont"] ** 2,
+        drive["i2t_max"] or math.inf,
     )
 
 
@@ -132,7 +142,7 @@ def _begun() -> Turn:
 @kernel
 def init() -> State:
     """Nothing seen yet."""
-    return State(0, 0.0, 0.0, _begun(), -1, 0.0, 0.0, 0)
+    return State(0, 0.0, 0.0, _begun(), -1, 0.0, 0.0, 0.0, 0)
 
 
 def forgiven(state: State) -> State:
@@ -186,8 +196,8 @@ def _against(params: Params, turn: Turn) -> bool:
 
 
 @kernel
-def step(params: Params, state: State, sensed: Sensed, on: bool) -> State:
-    """One control period; `on`: the outputs were on over it."""
+def step(params: Params, state: State, sensed: Sensed, on: bool, by_hall: bool) -> State:
+    """One control period; `on`: the outputs were on over it; `by_hall`: the control uses the Hall sensors."""
     fast = state.fast + 1 if abs(sensed.omega) > params.omega_trip else 0
     doubt = _doubt(params, state.doubt, sensed.hall, sensed.edges)
     opposed = 0.0
@@ -199,7 +209,11 @@ def step(params: Params, state: State, sensed: Sensed, on: bool) -> State:
         if abs(turn.sectors) >= TURN:
             opposed = opposed + 1.0 if _against(params, turn) else max(opposed - 1.0, 0.0)
             turn = _begun()
+    square = sensed.i_alpha * sensed.i_alpha + sensed.i_beta * sensed.i_beta
+    excess = max(state.excess + params.T_s * (square - params.i_cont_square), 0.0)
     causes = 0
+    if excess > params.i2t_max:
+        causes |= OVERLOAD
     if sensed.current > params.i_trip:
         causes |= OVERCURRENT
     if fast >= params.speed_periods:
@@ -208,6 +222,6 @@ def step(params: Params, state: State, sensed: Sensed, on: bool) -> State:
         causes |= UNDERVOLTAGE
     if sensed.u_dc > params.u_dc_max:
         causes |= OVERVOLTAGE
-    if doubt >= FULL or opposed >= params.opposed_max:
+    if by_hall and (doubt >= FULL or opposed >= params.opposed_max):
         causes |= HALL
-    return State(fast, doubt, opposed, turn, sensed.sector, sensed.i_alpha, sensed.i_beta, causes)
+    return State(fast, doubt, opposed, turn, sensed.sector, sensed.i_alpha, sensed.i_beta, excess, causes)

@@ -8,7 +8,8 @@ width. One that is late (a filter, a serial interface) shows the angle that was 
 
 What may be wrong: the disc has slipped on the shaft, its index with it; counts are lost, or counted twice, at random
 places, either way; the firmware takes the disc to have another number of lines; channels are exchanged, so that it
-counts the wrong way. Where the index pulse sets the counter to zero each turn, what was lost is put right there.
+counts the wrong way. Against the last two, and a misaligned zero, the firmware has constants of its own (`read_as`).
+Where the index pulse sets the counter to zero each turn, what was lost is put right there.
 
 Never interpolates between counts.
 """
@@ -34,7 +35,8 @@ class Params(NamedTuple):
     counts_hat: int  # the same, as the firmware takes it
     counts_per_rad: float  # counts an electrical radian
     offset: float  # electrical rad
-    rad_per_count: float  # electrical, as the firmware takes it
+    rad_per_count: float  # electrical, as the firmware takes it; below zero where it takes the count to go down
+    zero: float  # electrical rad, at the count 0, as the firmware takes it
     a_position: float  # filter gains: share of the error, and
     a_speed: float  # counts/s a count of error
     T_s: float
@@ -87,6 +89,7 @@ def make_params(
         counts / (TWO_PI * n_p),
         math.radians(offset_deg),
         TWO_PI * n_p_hat / counts,
+        0.0,
         1.0 - pole * pole,
         (1.0 - pole) ** 2 / T_s,
         float(T_s),
@@ -98,14 +101,28 @@ def make_params(
     )
 
 
+def read_as(params: Params, lines: float, reverse: float, zero: float) -> Params:
+    """The constants with what the firmware takes for the disc's lines, its way (1: down) and its zero (electrical rad).
+
+    They change angle and speed, and no count but that it begins anew after so many.
+    """
+    counts_hat = 4 * int(lines)
+    way = -1.0 if reverse else 1.0
+    return params._replace(
+        counts_hat=counts_hat,
+        rad_per_count=way * params.rad_per_count * (params.counts / counts_hat),
+        zero=float(zero),
+    )
+
+
 def make_faulty(params: Params, slip_deg: float, lost_per_rev: float, pulses_hat: int, reversed: int) -> Params:
-    """The constants with these faults: electrical degrees, counts a turn, lines (0: as many as there are), 0 or 1."""
-    counts_hat = 4 * pulses_hat or params.counts
+    """The constants with these faults: electrical degrees, counts a turn, lines (0: as the firmware has it), 0 or 1."""
+    counts_hat = 4 * pulses_hat or params.counts_hat
     return params._replace(
         counts_hat=counts_hat,
         counts_per_rad=-params.counts_per_rad if reversed else params.counts_per_rad,
         offset=params.offset + math.radians(slip_deg),
-        rad_per_count=params.rad_per_count * (params.counts / counts_hat),
+        rad_per_count=params.rad_per_count * (params.counts_hat / counts_hat),
         lost=lost_per_rev / params.counts,
     )
 
@@ -175,7 +192,7 @@ def shown(params: Params, index: Index, counter: int) -> int:
 @kernel
 def angle(params: Params, counter: int) -> float:
     """The electrical angle (rad, not wrapped) of the middle of a count."""
-    return (counter + 0.5) * params.rad_per_count
+    return (counter + 0.5) * params.rad_per_count + params.zero
 
 
 @kernel

@@ -11,15 +11,19 @@ import random
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from protocol import __version__
 from protocol.device.session import DeviceLink, Identity
 from protocol.device.tx import TxQueue
-from protocol.messages import Fault, Feature, Role
+from protocol.messages import DriveState, Fault, Feature, Role
+from protocol.signals import STATUS_STATE_MASK
 from sim.compile import compile_apart
 from sim.config.params import BenchParams
 from sim.drive import tick, tick_record
 from sim.drive.apps import DriveApp, LoadApp
-from sim.drive.machine import SimulatedBench
+from sim.drive.machine import Recorded, SimulatedBench
 from sim.native import Native
 from sim.numba_cache import source_hash
 from sim.observers import against, sample
@@ -30,6 +34,8 @@ from sim.ports.networks import ByteNetwork, Network, Session
 FIRMWARE = "hallbench-sim"
 BUILD = f"{__version__}-{source_hash()[:12]}"
 TX_BYTES = 1 << 23  # of a byte link in virtual time: nothing is dropped however long a step
+FEATURES = Feature.SIMULATED | Feature.MEANINGS | Feature.MEANS  # of both nodes
+OF_THE_DRIVE = Feature.EDGES | Feature.CAPTURE | Feature.COMMISSION | Feature.WAVEFORM
 PORTION = 0.075  # s that the bench runs at most before its sessions look at the time
 
 
@@ -69,10 +75,10 @@ class SimulatedDevice:
         self._notice = notice
         boot = random.Random(seed).getrandbits(32) if boot_id is None else boot_id
 
-        def identity(node: int, role: Role, name: str, features: Feature) -> Identity:
+        def identity(node: int, role: Role, name: str, features: Feature, capture_bytes: int = 0) -> Identity:
             return Identity(
-                node, role, name, FIRMWARE, boot, clock.tick_hz, clock.pwm_hz, features, tick0=clock.start_tick,
-                serial=f"SIM-{node:04}", build=BUILD,
+                node, role, name, FIRMWARE, boot, clock.tick_hz, clock.pwm_hz, FEATURES | features,
+                tick0=clock.start_tick, serial=f"SIM-{node:04}", build=BUILD, capture_bytes=capture_bytes,
             )  # fmt: skip
 
         commit = Feature.COMMIT if store is not None else Feature(0)
@@ -80,11 +86,9 @@ class SimulatedDevice:
         self._channels = tuple(drive.channels)
         self.drive: Session = self.network.add(
             drive,
-            identity(1, Role.DRIVE, "simulated drive", Feature.EDGES | Feature.SIMULATED | commit),
+            identity(1, Role.DRIVE, "simulated drive", OF_THE_DRIVE | commit, params.memory.capture),
         )
-        self.load: Session = self.network.add(
-            LoadApp(self.bench), identity(2, Role.LOAD, "load machine", Feature.SIMULATED)
-        )
+        self.load: Session = self.network.add(LoadApp(self.bench), identity(2, Role.LOAD, "load machine", Feature(0)))
         self.sessions = (self.drive, self.load)
         self._were_on = [False, False]
         self.network.advance(self.bench.tick)
@@ -111,27 +115,46 @@ class SimulatedDevice:
             left = self._watchdogs()
             # the outputs go off on time however long the portions
             n = min(periods, self._portion, math.ceil((min(left) + 1) * self.pwm_hz / 1000))
-            watched = self.drive.streams.channels
+            watched = self.drive.channels
             self.bench.watch(watched)
             recorded = self.bench.advance(n)
             self.periods += n
             periods -= n
             self.network.carry(self.periods / self.pwm_hz)
-            self.drive.push_edges(recorded.edges)
-            if self.drive.streams.running:
-                raw = recorded.raw(self._channels, watched)
-                self.drive.push_samples(recorded.index, recorded.tick, raw)
             if self.load.streams.running:
                 self.load.push_samples(recorded.index, recorded.tick, recorded.load_samples)
-            self.network.advance(self.tick)
-            if self.bench.faults:
-                self.drive.fault(self.bench.faults)  # does nothing with those that are latched already
+            raw = recorded.raw(self._channels, watched) if self.drive.sampling else None
+            tripped = self._tripped(recorded)
+            for begin, end in ((0, tripped), (tripped, n)):
+                if begin < end:
+                    self._push(recorded, raw, begin, end)
             if self._notice:
                 self._report(left, n, self._notice)
 
     def data_to_send(self, limit: int | None = None) -> bytes:
         """Return and forget the bytes that wait for the link, at most `limit`."""
         return self.network.data_to_send(limit)
+
+    def _tripped(self, recorded: Recorded) -> int:
+        """After how many of these periods the firmware has found a first fault; all, if it has not."""
+        if not self.bench.faults or self.drive.machine.faults:
+            return len(recorded)
+        states = recorded["status"].view(np.int64) & STATUS_STATE_MASK
+        return int(np.argmax(states == DriveState.FAULT)) + 1
+
+    def _push(self, recorded: Recorded, raw: NDArray[np.void] | None, begin: int, end: int) -> None:
+        """Give the drive's session the periods from `begin` up to `end`, then let both sessions look at the time."""
+        tick = recorded.tick + begin * self._period_ticks
+        last = recorded.tick + (end - 1) * self._period_ticks
+        edges = recorded.edges
+        if end - begin < len(recorded):
+            edges = edges[slice(*np.searchsorted(recorded.edge_tick, [tick - self._period_ticks, last], "right"))]
+        self.drive.push_edges(edges)
+        if raw is not None:
+            self.drive.push_samples(recorded.index + begin, tick, raw[begin:end])
+        self.network.advance(last)
+        if self.bench.faults:
+            self.drive.fault(self.bench.faults)  # does nothing with those that are latched already
 
     def _watchdogs(self) -> list[int]:
         """ms until each session's watchdog runs out, WATCHDOG_OFF where it is not at work."""

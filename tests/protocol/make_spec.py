@@ -119,6 +119,9 @@ TABLES = {
     "roles": lambda: enum(codes.Role, None),
     "features": lambda: enum(codes.Feature, "meaning"),
     "error codes": lambda: enum(codes.ErrorCode, "`detail`"),
+    "capture states": lambda: enum(codes.CaptureState, "meaning"),
+    "capture triggers": lambda: enum(codes.CaptureTrigger, "what freezes it"),
+    "test signals": lambda: enum(codes.TestSignal, "what it is added to"),
     "event codes": lambda: enum(codes.EventCode, "`arg`"),
 }
 
@@ -142,6 +145,9 @@ C_ENUMS: dict[str, type[IntEnum] | type[IntFlag]] = {
     "MODE": codes.SetpointMode,
     "STREAM": codes.StreamEvent,
     "EVENT": codes.EventCode,
+    "TRIGGER": codes.CaptureTrigger,
+    "CAPTURE": codes.CaptureState,
+    "TEST": codes.TestSignal,
     "ERROR": codes.ErrorCode,
     "RAW": RawType,
     "UNIT": Unit,
