@@ -20,6 +20,12 @@
 #define MAX_DECIMATION 0xFFFFu
 #define FAULT_MASK 0x00FFFFFFu
 #define OVERRUN 1u
+#define GIVEN (HBP_FEATURE_CAPTURE | HBP_FEATURE_MEANINGS | HBP_FEATURE_WAVEFORM) /* features by what the configuration gives */
+#define LACKING HBP_FEATURE_MEANS
+#define DESCRIPTOR 0u /* blobs */
+#define CAPTURED 1u
+#define MEANINGS 3u
+#define WAVEFORM 4u
 #define MAX_ENCODED 1041u /* of a frame, delimiters left out */
 
 #define CHECK(name, condition) typedef char hbp_check_##name[(condition) ? 1 : -1]
@@ -30,6 +36,7 @@ CHECK(channels, HBP_CHANNELS >= 1 && HBP_CHANNELS <= 499 && 26 + 2 * HBP_CHANNEL
 CHECK(pools, HBP_POOLS >= 1 && HBP_POOLS <= HBP_STREAMS);
 CHECK(pool_bytes, HBP_POOL_BYTES % 4 == 0 && HBP_POOL_BYTES >= 2 * (HBP_TX_MAX + 4));
 CHECK(edges, (HBP_EDGES & (HBP_EDGES - 1)) == 0 && HBP_EDGES <= 32768);
+CHECK(capture, HBP_CAPTURE == 0 || (HBP_CAPTURE == 1 && 22 + 2 * HBP_CHANNELS <= HBP_TX_MAX && HBP_CAPTURE_PART >= 1));
 CHECK(hosts, HBP_HOSTS >= 1 && HBP_HOSTS <= 16);
 
 const uint8_t hbp_widths[] = {0, 1, 1, 2, 2, 4, 4, 4};
@@ -48,7 +55,7 @@ uint8_t *hbp_put32(uint8_t *to, uint32_t value)
     return hbp_put16(hbp_put16(to, value & 0xFFFFu), value >> 16);
 }
 
-static uint8_t *put64(uint8_t *to, uint64_t value)
+uint8_t *hbp_put64(uint8_t *to, uint64_t value)
 {
     return hbp_put32(hbp_put32(to, (uint32_t)value), (uint32_t)(value >> 32));
 }
@@ -91,17 +98,17 @@ static uint8_t *put_text(uint8_t *to, const char *text, size_t size)
     return to + size;
 }
 
-static uint16_t get16(const uint8_t *from)
+uint16_t hbp_get16(const uint8_t *from)
 {
     return (uint16_t)(from[0] | from[1] << 8);
 }
 
 uint32_t hbp_get32(const uint8_t *from)
 {
-    return get16(from) | (uint32_t)get16(from + 2) << 16;
+    return hbp_get16(from) | (uint32_t)hbp_get16(from + 2) << 16;
 }
 
-static float get_float(const uint8_t *from)
+float hbp_get_float(const uint8_t *from)
 {
     uint32_t bits = hbp_get32(from);
     float value;
@@ -109,7 +116,7 @@ static float get_float(const uint8_t *from)
     return value;
 }
 
-static int finite_number(float value)
+int hbp_finite(float value)
 {
     return (bits_of(value) & 0x7F800000u) != 0x7F800000u;
 }
@@ -178,9 +185,9 @@ static int send(struct hbp *h, enum hbp_rank rank, uint8_t type, size_t n)
     return h->link->way->send(h, &message);
 }
 
-static void event(struct hbp *h, uint32_t code, float arg, float detail)
+void hbp_event(struct hbp *h, uint32_t code, float arg, float detail)
 {
-    uint8_t *to = put64(h->link->work, h->now);
+    uint8_t *to = hbp_put64(h->link->work, h->now);
     to = hbp_put16(to, code);
     *to++ = h->config->node;
     *to++ = 0;
@@ -216,6 +223,31 @@ static uint32_t watchdog_ticks(const struct hbp *h)
     return (uint32_t)(seconds * (float)h->config->tick_hz + 0.5f);
 }
 
+/* A value that is within its range, or that the application refuses. */
+static uint16_t store_parameter(struct hbp *h, uint16_t k, float value, float *detail)
+{
+    const struct hbp_config *config = h->config;
+    float before = parameter_value(h, k), after;
+    uint16_t code = config->set ? config->set(config->user, k, value, detail) : 0;
+    if (code) return code;
+    if (!config->get) *config->parameters[k].value = value;
+    if (k == h->watchdog) h->leash_ticks = watchdog_ticks(h);
+    after = parameter_value(h, k);
+    if (after < before || after > before) hbp_event(h, HBP_EVENT_PARAM_CHANGED, (float)config->parameters[k].id, after);
+    return 0;
+}
+
+/* RUNNING has ended, or not yet begun. */
+static void reset_volatile(struct hbp *h)
+{
+    float detail = 0.0f;
+    for (uint16_t k = 0; k < h->config->n_parameters; k++) {
+        const struct hbp_parameter *p = &h->config->parameters[k];
+        float value = parameter_value(h, k);
+        if ((p->flags & HBP_FLAG_VOLATILE) && (value < p->initial || value > p->initial)) (void)store_parameter(h, k, p->initial, &detail);
+    }
+}
+
 static int live(const struct hbp *h)
 {
     return h->state == HBP_STATE_ARMED || h->state == HBP_STATE_RUNNING;
@@ -228,6 +260,16 @@ static void feed(struct hbp *h)
     h->leash_ticks = watchdog_ticks(h);
 }
 
+/* The trigger of a capture that waits for it has come. */
+static void ask_capture(struct hbp *h, uint8_t trigger)
+{
+#if HBP_CAPTURE
+    if (h->capture) hbp_capture_ask(h, trigger);
+#else
+    (void)h, (void)trigger;
+#endif
+}
+
 static uint16_t wrong_state(const struct hbp *h, float *detail)
 {
     *detail = (float)h->state;
@@ -237,6 +279,7 @@ static uint16_t wrong_state(const struct hbp *h, float *detail)
 static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
 {
     uint16_t code;
+    uint8_t before = h->state;
     if (state == HBP_STATE_RUNNING) h->runs++;
     HBP_BARRIER();
     h->permit = state == HBP_STATE_RUNNING;
@@ -248,7 +291,9 @@ static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
     }
     if (h->faults && state != HBP_STATE_FAULT) return wrong_state(h, detail); /* the application called hbp_fault meanwhile */
     h->state = state;
-    event(h, HBP_EVENT_STATE_CHANGED, (float)state, 0.0f);
+    hbp_event(h, HBP_EVENT_STATE_CHANGED, (float)state, 0.0f);
+    ask_capture(h, HBP_TRIGGER_STATE);
+    if (before == HBP_STATE_RUNNING || before == HBP_STATE_BOOT) reset_volatile(h);
     return 0;
 }
 
@@ -259,8 +304,9 @@ void hbp_fault(struct hbp *h, uint32_t faults)
     if (!fresh) return;
     if (!h->faults) h->first_fault = fresh;
     h->faults |= fresh;
+    ask_capture(h, HBP_TRIGGER_FAULT);
     if (h->state != HBP_STATE_FAULT) enter(h, HBP_STATE_FAULT, &detail);
-    event(h, HBP_EVENT_FAULT, (float)fresh, 0.0f);
+    hbp_event(h, HBP_EVENT_FAULT, (float)fresh, 0.0f);
 }
 
 /* Only the interrupt writes `raised`, only the main loop `seen`. What has been seen is begun anew, with another count; it counts new
@@ -270,6 +316,9 @@ void hbp_raise(struct hbp *h, uint32_t faults)
     uint32_t raised = h->raised, before = raised == h->seen ? 0 : raised & FAULT_MASK;
     if (!(faults & FAULT_MASK & ~before)) return;
     h->raised = ((raised & ~FAULT_MASK) + FAULT_MASK + 1u) | before | (faults & FAULT_MASK);
+#if HBP_CAPTURE
+    if (h->capture && (faults & FAULT_MASK & ~h->faults)) h->capture->raised = 1;
+#endif
 }
 
 int hbp_may_run(struct hbp *h, uint32_t tick)
@@ -294,7 +343,7 @@ void hbp_pass_time(struct hbp *h, uint64_t now)
     } else if (live(h) && (now - h->fed >= watchdog_ticks(h) || (h->permit && h->cut == h->runs))) {
         hbp_fault(h, HBP_FAULT_WATCHDOG);
     } else if (h->state == HBP_STATE_ARMED && now - h->armed >= (uint64_t)ARM_SECONDS * h->config->tick_hz) {
-        event(h, HBP_EVENT_ARM_LAPSED, (float)ARM_SECONDS, 0.0f);
+        hbp_event(h, HBP_EVENT_ARM_LAPSED, (float)ARM_SECONDS, 0.0f);
         enter(h, HBP_STATE_IDLE, &detail);
     }
 }
@@ -358,7 +407,7 @@ static uint16_t hello(struct hbp *h, const uint8_t *in, size_t length, size_t *n
 {
     const struct hbp_config *config = h->config;
     uint32_t nonce = hbp_get32(in);
-    uint16_t rx_max = get16(in + 6);
+    uint16_t rx_max = hbp_get16(in + 6);
     uint8_t *to = h->link->work;
     (void)length;
     if (in[4] > HBP_MAJOR || in[5] < HBP_MAJOR) {
@@ -380,7 +429,7 @@ static uint16_t hello(struct hbp *h, const uint8_t *in, size_t length, size_t *n
     *to++ = HBP_MAJOR;
     *to++ = HBP_MINOR;
     to = hbp_put16(hbp_put16(hbp_put16(to, HBP_RX_MAX), h->peer->tx_max), 0);
-    to = hbp_put32(hbp_put32(to, config->features), h->schema_crc);
+    to = hbp_put32(hbp_put32(to, h->features), h->schema_crc);
     to = hbp_put32(hbp_put32(to, config->tick_hz), config->pwm_hz);
     *to++ = h->state;
     *to++ = config->node;
@@ -394,7 +443,7 @@ static uint16_t hello(struct hbp *h, const uint8_t *in, size_t length, size_t *n
 static uint16_t time_sync(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
 {
     (void)in, (void)length, (void)detail;
-    return finish(h, put64(put64(h->link->work, h->now), h->now), n);
+    return finish(h, hbp_put64(hbp_put64(h->link->work, h->now), h->now), n);
 }
 
 static uint16_t alive(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
@@ -418,47 +467,102 @@ static void record_bytes(const struct hbp_config *config, uint32_t k, uint8_t *t
     put_text(to, channel ? c->name : p->name, 16);
 }
 
-static uint32_t blob_bytes(const struct hbp *h)
+/* Whether the device has a blob, and its bytes. */
+static int find_blob(const struct hbp *h, uint8_t id, uint32_t *total)
 {
-    return RECORD * ((uint32_t)h->config->n_channels + h->config->n_parameters);
+    const struct hbp_config *config = h->config;
+    *total = 0;
+    switch (id) {
+    case DESCRIPTOR: *total = RECORD * ((uint32_t)config->n_channels + config->n_parameters); return 1;
+#if HBP_CAPTURE
+    case CAPTURED: *total = h->capture ? hbp_capture_blob_bytes(h) : 0; return *total != 0;
+#endif
+    case MEANINGS: *total = (uint32_t)text_length(config->meanings); return config->meanings != NULL;
+#if HBP_WAVEFORM
+    case WAVEFORM: *total = 2u * config->waveform_length; return config->waveform != NULL;
+#endif
+    default: return 0;
+    }
 }
 
-static size_t blob_reply(struct hbp *h, uint32_t offset, uint32_t length)
+/* Bytes of a blob from `offset` on, *n at most, which becomes how many; some of them are made in `made`. */
+static const uint8_t *blob_part(const struct hbp *h, uint8_t id, uint32_t offset, uint32_t *n, uint8_t made[RECORD])
 {
-    uint8_t *to = h->link->work, record[RECORD];
+    uint32_t at = offset % RECORD;
+    switch (id) {
+    case DESCRIPTOR:
+        record_bytes(h->config, offset / RECORD, made);
+        if (*n > RECORD - at) *n = RECORD - at;
+        return made + at;
+#if HBP_CAPTURE
+    case CAPTURED: return hbp_capture_blob(h, offset, n);
+#endif
+#if HBP_WAVEFORM
+    case WAVEFORM:
+        (void)hbp_put16(made, (uint16_t)h->config->waveform[offset / 2u]);
+        *n = 1;
+        return made + offset % 2u;
+#endif
+    default: return (const uint8_t *)h->config->meanings + offset;
+    }
+}
+
+static size_t blob_reply(struct hbp *h, uint8_t id, uint32_t offset, uint32_t length, uint32_t total)
+{
+    uint8_t *to = h->link->work, made[RECORD];
+    *to++ = id;
     *to++ = 0;
-    *to++ = 0;
-    to = hbp_put32(hbp_put32(hbp_put16(to, length), offset), blob_bytes(h));
+    to = hbp_put32(hbp_put32(hbp_put16(to, length), offset), total);
     while (length) {
-        uint32_t at = offset % RECORD, part = RECORD - at < length ? RECORD - at : length;
-        record_bytes(h->config, offset / RECORD, record);
-        memcpy(to, record + at, part);
-        to += part, offset += part, length -= part;
+        uint32_t n = length;
+        const uint8_t *from = blob_part(h, id, offset, &n, made);
+        memcpy(to, from, n);
+        to += n, offset += n, length -= n;
     }
     return (size_t)(to - h->link->work);
 }
 
 static uint16_t blob_read(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
 {
-    uint32_t wanted = get16(in + 2), offset = hbp_get32(in + 4), total = blob_bytes(h), room = h->peer->tx_max - 12u;
+    uint32_t wanted = hbp_get16(in + 2), offset = hbp_get32(in + 4), total, room = h->peer->tx_max - 12u;
     (void)length;
-    if (in[0]) {
-        *detail = (float)in[0];
-        return HBP_ERROR_UNKNOWN_ID;
-    }
-    if (offset > total) {
-        *detail = (float)total;
-        return HBP_ERROR_OUT_OF_RANGE;
-    }
+    *detail = (float)in[0];
+    if (!find_blob(h, in[0], &total)) return HBP_ERROR_UNKNOWN_ID;
+    *detail = (float)total;
+    if (offset > total) return HBP_ERROR_OUT_OF_RANGE;
     if (wanted > room) wanted = room;
     if (wanted > total - offset) wanted = total - offset;
-    *n = blob_reply(h, offset, wanted);
+    *n = blob_reply(h, in[0], offset, wanted, total);
     return 0;
 }
 
+#if HBP_WAVEFORM
+static uint16_t blob_write(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    uint32_t more = hbp_get16(in + 2), offset = hbp_get32(in + 4), total;
+    (void)length;
+    *n = 0;
+    *detail = (float)in[0];
+    if (!find_blob(h, in[0], &total)) return HBP_ERROR_UNKNOWN_ID;
+    if (in[0] != WAVEFORM) return HBP_ERROR_READ_ONLY;
+    *detail = (float)total;
+    if (offset > total || more > total - offset) return HBP_ERROR_OUT_OF_RANGE;
+    *detail = (float)in[0];
+    if (h->test != HBP_NONE && parameter_value(h, h->test) > 0.0f) return HBP_ERROR_BUSY;
+    for (in += 8; more--; offset++) {
+        uint8_t both[2];
+        int16_t *sample = &h->config->waveform[offset / 2u];
+        (void)hbp_put16(both, (uint16_t)*sample);
+        both[offset % 2u] = *in++;
+        *sample = (int16_t)hbp_get16(both);
+    }
+    return 0;
+}
+#endif
+
 static uint16_t parameter(const struct hbp *h, const uint8_t *in, uint16_t *k, float *detail)
 {
-    uint16_t id = get16(in);
+    uint16_t id = hbp_get16(in);
     for (*k = 0; *k < h->config->n_parameters; ++*k)
         if (h->config->parameters[*k].id == id) return 0;
     *detail = (float)id;
@@ -483,7 +587,7 @@ static uint16_t param_set(struct hbp *h, const uint8_t *in, size_t length, size_
     const struct hbp_config *config = h->config;
     uint16_t k, code = parameter(h, in, &k, detail);
     const struct hbp_parameter *p;
-    float value = get_float(in + 4);
+    float value = hbp_get_float(in + 4);
     (void)length;
     if (code) return code;
     p = &config->parameters[k];
@@ -492,15 +596,13 @@ static uint16_t param_set(struct hbp *h, const uint8_t *in, size_t length, size_
         return HBP_ERROR_READ_ONLY;
     }
     *detail = value;
-    if (!finite_number(value) || ((p->flags & HBP_FLAG_WHOLE) && !whole_number(value))) return HBP_ERROR_BAD_VALUE;
+    if (!hbp_finite(value) || ((p->flags & HBP_FLAG_WHOLE) && !whole_number(value))) return HBP_ERROR_BAD_VALUE;
     *detail = value < p->lo ? p->lo : p->hi;
     if (value < p->lo || value > p->hi) return HBP_ERROR_OUT_OF_RANGE;
     if ((p->flags & HBP_FLAG_IDLE_ONLY) && outputs_on(h)) return wrong_state(h, detail);
     *detail = 0.0f;
-    code = config->set ? config->set(config->user, k, value, detail) : 0;
+    code = store_parameter(h, k, value, detail);
     if (code) return code;
-    if (!config->get) *p->value = value;
-    if (k == h->watchdog) h->leash_ticks = watchdog_ticks(h);
     return finish(h, put_float(hbp_put16(hbp_put16(h->link->work, p->id), 0), parameter_value(h, k)), n);
 }
 
@@ -533,15 +635,15 @@ static uint16_t state_cmd(struct hbp *h, const uint8_t *in, size_t length, size_
 static void reject(struct hbp *h, uint16_t code, float detail)
 {
     h->setpoints_rejected++;
-    event(h, HBP_EVENT_SETPOINT_REJECTED, (float)code, detail);
+    hbp_event(h, HBP_EVENT_SETPOINT_REJECTED, (float)code, detail);
 }
 
 static uint16_t use_setpoint(struct hbp *h, const uint8_t *in, float *detail)
 {
-    float value = get_float(in + 4), value2 = get_float(in + 8);
+    float value = hbp_get_float(in + 4), value2 = hbp_get_float(in + 8);
     if (h->state != HBP_STATE_RUNNING) return wrong_state(h, detail);
-    *detail = finite_number(value) ? value2 : value;
-    if (!finite_number(*detail)) return HBP_ERROR_BAD_VALUE;
+    *detail = hbp_finite(value) ? value2 : value;
+    if (!hbp_finite(*detail)) return HBP_ERROR_BAD_VALUE;
     *detail = 0.0f;
     return h->config->setpoint(h->config->user, in[0], value, value2, detail);
 }
@@ -554,7 +656,7 @@ static uint16_t setpoint(struct hbp *h, const uint8_t *in, size_t length, size_t
         reject(h, code, *detail);
         return 0; /* there is no other answer */
     }
-    h->setpoint_counter = get16(in + 2);
+    h->setpoint_counter = hbp_get16(in + 2);
     feed(h);
     return 0;
 }
@@ -624,27 +726,41 @@ static uint32_t decimation_that_fits(struct hbp *h, const struct hbp_stream *min
     return low <= MAX_DECIMATION ? low : 0;
 }
 
-static uint16_t choose(struct hbp *h, struct hbp_stream *s, const uint8_t *ids, float *detail)
+/* The channel with this id, or null. */
+const struct hbp_channel *hbp_find_channel(const struct hbp *h, uint32_t id)
 {
-    const struct hbp_config *config = h->config;
-    uint32_t bytes = 0;
-    for (unsigned k = 0; k < s->channels; k++) {
-        uint16_t id = get16(ids + 2 * k), at = 0;
+    const struct hbp_channel *channel = h->config->channels;
+    for (uint32_t left = h->config->n_channels; left--; channel++)
+        if (channel->id == id) return channel;
+    return NULL;
+}
+
+/* Whether n ids are of channels, each another one; the bytes of a record of them. */
+uint16_t hbp_choose(const struct hbp *h, const uint8_t *ids, uint32_t n, uint32_t *bytes, float *detail)
+{
+    *bytes = 0;
+    for (uint32_t k = 0; k < n; k++) {
+        uint16_t id = hbp_get16(ids + 2 * k);
+        const struct hbp_channel *channel = hbp_find_channel(h, id);
         *detail = (float)id;
-        while (at < config->n_channels && config->channels[at].id != id) at++;
-        if (at == config->n_channels) return HBP_ERROR_UNKNOWN_ID;
-        for (unsigned before = 0; before < k; before++)
-            if (s->take[before] == at) return HBP_ERROR_BAD_VALUE;
-        s->take[k] = at;
-        bytes += hbp_widths[config->channels[at].type];
+        if (!channel) return HBP_ERROR_UNKNOWN_ID;
+        for (uint32_t before = 0; before < k; before++)
+            if (hbp_get16(ids + 2 * before) == id) return HBP_ERROR_BAD_VALUE;
+        *bytes += hbp_widths[channel->type];
     }
-    s->record_bytes = (uint16_t)bytes;
     return 0;
+}
+
+/* Positions of channels that hbp_choose has found right. */
+void hbp_take_channels(const struct hbp *h, const uint8_t *ids, uint32_t n, uint16_t *take)
+{
+    for (; n--; ids += 2) *take++ = (uint16_t)(hbp_find_channel(h, hbp_get16(ids)) - h->config->channels);
 }
 
 static uint16_t configure(struct hbp *h, struct hbp_stream *s, const uint8_t *in, float *detail)
 {
     uint16_t channels = s->channels, code;
+    uint32_t bytes;
     *detail = (float)s->event;
     if (s->event == HBP_STREAM_EDGES && (h->config->features & HBP_FEATURE_EDGES)) {
         *detail = (float)channels;
@@ -654,8 +770,10 @@ static uint16_t configure(struct hbp *h, struct hbp_stream *s, const uint8_t *in
         if (s->event != HBP_STREAM_PWM) return HBP_ERROR_NOT_SUPPORTED;
         *detail = 0.0f;
         if (!s->decimation || !channels) return HBP_ERROR_BAD_VALUE;
-        code = choose(h, s, in + 8, detail);
+        code = hbp_choose(h, in + 8, channels, &bytes, detail);
         if (code) return code;
+        hbp_take_channels(h, in + 8, channels, s->take);
+        s->record_bytes = (uint16_t)bytes;
     }
     return 0;
 }
@@ -696,9 +814,9 @@ static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t length, size
     memset(&wanted, 0, sizeof wanted);
     wanted.number = in[0];
     wanted.event = in[1];
-    wanted.decimation = get16(in + 2);
-    wanted.latency_ms = get16(in + 4);
-    wanted.channels = get16(in + 6);
+    wanted.decimation = hbp_get16(in + 2);
+    wanted.latency_ms = hbp_get16(in + 4);
+    wanted.channels = hbp_get16(in + 6);
     wanted.groups = 1;
     wanted.counts_samples = h->link->way->counts_samples;
     code = configure(h, &wanted, in, detail);
@@ -719,7 +837,7 @@ static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t length, size
     to = put_float(to, share);
     *to++ = s->slot;
     memset(to, 0, 3);
-    return finish(h, put64(to + 3, h->config->tick0), n);
+    return finish(h, hbp_put64(to + 3, h->config->tick0), n);
 }
 
 static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
@@ -739,7 +857,7 @@ static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t length, size
     *to++ = s->slot;
     to = hbp_put16(hbp_put16(hbp_put16(to, s->decimation), s->latency_ms), s->cfg_id);
     to = hbp_put16(hbp_put16(hbp_put16(to, s->record_bytes), s->block), 0);
-    to = hbp_put16(put64(to, h->config->tick0), channels);
+    to = hbp_put16(hbp_put64(to, h->config->tick0), channels);
     for (unsigned k = 0; k < channels; k++) to = hbp_put16(to, h->config->channels[s->take[k]].id);
     return finish(h, to, n);
 }
@@ -829,35 +947,40 @@ static void end_block(struct hbp_stream *s)
     s->head++;
 }
 
+void hbp_copy_sample(const struct hbp *h, const uint16_t *take, uint32_t n, const uint8_t *sample, uint8_t *to)
+{
+    for (uint32_t k = 0; k < n; k++) {
+        const struct hbp_channel *channel = &h->config->channels[take[k]];
+        const uint8_t *from = sample + channel->at;
+        uint16_t half;
+        uint32_t word;
+        switch (hbp_widths[channel->type]) {
+        case 1:
+            *to++ = *from;
+            break;
+        case 2:
+            memcpy(&half, from, sizeof half);
+            to = hbp_put16(to, half);
+            break;
+        default:
+            memcpy(&word, from, sizeof word);
+            to = hbp_put32(to, word);
+        }
+    }
+}
+
 static void take(struct hbp *h, struct hbp_stream *s, uint32_t index, const uint8_t *sample)
 {
     if (!s->filled) begin_block(h, s, index);
     if (!s->dropping) {
         uint8_t *to = records_of(block_at(h, s, s->write)) + (size_t)s->filled * s->record_bytes;
-        for (unsigned k = 0; k < s->channels; k++) {
-            const struct hbp_channel *channel = &h->config->channels[s->take[k]];
-            const uint8_t *from = sample + channel->at;
-            uint16_t half;
-            uint32_t word;
-            switch (hbp_widths[channel->type]) {
-            case 1:
-                *to++ = *from;
-                break;
-            case 2:
-                memcpy(&half, from, sizeof half);
-                to = hbp_put16(to, half);
-                break;
-            default:
-                memcpy(&word, from, sizeof word);
-                to = hbp_put32(to, word);
-            }
-        }
+        hbp_copy_sample(h, s->take, s->channels, sample, to);
     }
     if (++s->filled == s->block) end_block(s);
 }
 
 /* The lower 32 bits of index / decimation, rounded up: by 16 bits at a time, which a core divides at once. */
-static uint32_t rounded_up(uint64_t index, uint16_t decimation)
+uint32_t hbp_rounded_up(uint64_t index, uint16_t decimation)
 {
     uint32_t number = 0, rest = 0;
     index += decimation - 1u;
@@ -876,7 +999,7 @@ void hbp_tick(struct hbp *h, const void *sample)
         struct hbp_stream *s = &h->streams[k];
         if (!s->running || s->event != HBP_STREAM_PWM) continue;
         if (!s->aligned) {
-            uint32_t number = rounded_up(h->index, s->decimation);
+            uint32_t number = hbp_rounded_up(h->index, s->decimation);
             s->next = number * s->decimation;
             if (s->counts_samples) s->seq = (uint16_t)number;
             s->aligned = 1;
@@ -885,6 +1008,9 @@ void hbp_tick(struct hbp *h, const void *sample)
         s->next += s->decimation;
         take(h, s, index, sample);
     }
+#if HBP_CAPTURE
+    if (h->capture && h->capture->running) hbp_capture_tick(h, sample);
+#endif
     h->index++;
     h->periods = (uint32_t)h->index;
 }
@@ -898,15 +1024,19 @@ static int illegal(uint8_t before, uint8_t after)
 void hbp_edge(struct hbp *h, uint32_t tick, uint8_t before, uint8_t after, uint16_t encoder)
 {
     uint16_t head = h->edge_head;
+    uint8_t codes = (uint8_t)((before & 7u) | (after & 7u) << 3 | (illegal(before, after) ? 0x40u : 0));
     if ((uint16_t)(head - h->edge_tail) < HBP_EDGES) {
         struct hbp_hall_edge *edge = &h->ring[head & (HBP_EDGES - 1u)];
         edge->index = h->edges;
         edge->tick = tick;
         edge->encoder = encoder;
-        edge->codes = (uint8_t)((before & 7u) | (after & 7u) << 3 | (illegal(before, after) ? 0x40u : 0));
+        edge->codes = codes;
         HBP_BARRIER();
         h->edge_head = (uint16_t)(head + 1u);
     }
+#if HBP_CAPTURE
+    if (h->capture && h->capture->running) hbp_capture_edge(h, tick, codes, encoder);
+#endif
     h->edges++;
 }
 
@@ -1032,7 +1162,7 @@ uint32_t hbp_dropped(const struct hbp *h)
 static void heartbeat(struct hbp *h)
 {
     uint32_t period = h->config->tick_hz / 10u, since;
-    uint8_t *to = put64(h->link->work, h->now);
+    uint8_t *to = hbp_put64(h->link->work, h->now);
     if (h->now < h->next_heartbeat || h->link->way->beats(h)) return;
     to = hbp_put32(hbp_put32(hbp_put32(to, h->boot_id), h->faults), h->first_fault);
     to = hbp_put32(hbp_put32(to, hbp_dropped(h)), h->link->bad);
@@ -1052,6 +1182,9 @@ void hbp_advance(struct hbp *h, uint64_t now)
     if (edges_are_late(h)) send_edges(h);
     send_blocks(h);
     let_go_of_edges(h);
+#if HBP_CAPTURE
+    if (h->capture) hbp_capture_poll(h);
+#endif
     heartbeat(h);
 }
 
@@ -1059,13 +1192,30 @@ void hbp_advance(struct hbp *h, uint64_t now)
 
 static const struct {
     uint8_t type, length;
+    uint8_t count, each; /* where the number of things stands that follow, and the bytes of each, 0: nothing follows */
+    uint8_t feature;     /* without it the type is unknown */
     answer *answer;
 } requests[] = {
-    {HBP_TYPE_HELLO, 8, hello},          {HBP_TYPE_TIME_SYNC, 0, time_sync},   {HBP_TYPE_ALIVE, 4, alive},
-    {HBP_TYPE_BLOB_READ, 8, blob_read},  {HBP_TYPE_PARAM_GET, 4, param_get},   {HBP_TYPE_PARAM_SET, 8, param_set},
-    {HBP_TYPE_PARAM_COMMIT, 0, param_commit}, {HBP_TYPE_STATE_CMD, 8, state_cmd}, {HBP_TYPE_SETPOINT, 12, setpoint},
-    {HBP_TYPE_STREAM_SET, 8, stream_set}, {HBP_TYPE_STREAM_START, 4, stream_start}, {HBP_TYPE_STREAM_STOP, 4, stream_stop},
-    {HBP_TYPE_STREAM_GET, 4, stream_get},
+    {HBP_TYPE_HELLO, 8, 0, 0, 0, hello},
+    {HBP_TYPE_TIME_SYNC, 0, 0, 0, 0, time_sync},
+    {HBP_TYPE_ALIVE, 4, 0, 0, 0, alive},
+    {HBP_TYPE_BLOB_READ, 8, 0, 0, 0, blob_read},
+#if HBP_WAVEFORM
+    {HBP_TYPE_BLOB_WRITE, 8, 2, 1, HBP_FEATURE_WAVEFORM, blob_write},
+#endif
+    {HBP_TYPE_PARAM_GET, 4, 0, 0, 0, param_get},
+    {HBP_TYPE_PARAM_SET, 8, 0, 0, 0, param_set},
+    {HBP_TYPE_PARAM_COMMIT, 0, 0, 0, 0, param_commit},
+    {HBP_TYPE_STATE_CMD, 8, 0, 0, 0, state_cmd},
+    {HBP_TYPE_SETPOINT, 12, 0, 0, 0, setpoint},
+    {HBP_TYPE_STREAM_SET, 8, 6, 2, 0, stream_set},
+    {HBP_TYPE_STREAM_START, 4, 0, 0, 0, stream_start},
+    {HBP_TYPE_STREAM_STOP, 4, 0, 0, 0, stream_stop},
+    {HBP_TYPE_STREAM_GET, 4, 0, 0, 0, stream_get},
+#if HBP_CAPTURE
+    {HBP_TYPE_CAPTURE_ARM, 22, 20, 2, HBP_FEATURE_CAPTURE, hbp_capture_arm},
+    {HBP_TYPE_CAPTURE_STATUS, 0, 0, 0, HBP_FEATURE_CAPTURE, hbp_capture_status},
+#endif
 };
 
 struct request {
@@ -1109,9 +1259,9 @@ static void execute(struct hbp *h, const struct request *request, unsigned k, st
     uint8_t type = request->type, flags = REPLY;
     float detail = 0.0f;
     size_t n = 0;
-    int right = type == HBP_TYPE_HELLO ? length >= requests[k].length : length == requests[k].length;
-    if (type == HBP_TYPE_STREAM_SET) right = length >= 8 && length == 8 + 2u * get16(request->payload + 6);
-    if (!right) {
+    uint32_t least = requests[k].length, whole = least;
+    if (requests[k].each && length >= least) whole += (uint32_t)requests[k].each * hbp_get16(request->payload + requests[k].count);
+    if (type == HBP_TYPE_HELLO ? length < least : length != whole) {
         code = HBP_ERROR_BAD_LENGTH;
         detail = (float)length;
         if (type == HBP_TYPE_SETPOINT) reject(h, code, detail);
@@ -1130,8 +1280,8 @@ static void execute(struct hbp *h, const struct request *request, unsigned k, st
         kept->tid = request->tid;
         kept->flags = flags;
         kept->length = (uint16_t)n;
-        /* a part of the descriptor is not kept, but which part it was */
-        memcpy(kept->payload, h->link->work, !code && type == HBP_TYPE_BLOB_READ ? 8 : n);
+        /* a part of a blob is not kept, but which part it was */
+        memcpy(kept->payload, h->link->work, !code && type == HBP_TYPE_BLOB_READ ? 12 : n);
     }
     {
         uint8_t transfer = reply(h, request, flags, n, HBP_NEXT_TRANSFER);
@@ -1141,13 +1291,16 @@ static void execute(struct hbp *h, const struct request *request, unsigned k, st
 
 static int answered_before(struct hbp *h, const struct request *request, uint32_t crc)
 {
+    uint32_t total;
     for (unsigned k = 0; k < HBP_KEPT; k++) {
         struct hbp_reply *kept = &h->peer->kept[k];
         if (!kept->there || kept->request != crc || kept->tid != request->tid || kept->type != request->type) continue;
-        if (kept->type == HBP_TYPE_BLOB_READ && !(kept->flags & ERROR_FLAG))
-            blob_reply(h, hbp_get32(kept->payload + 4), get16(kept->payload + 2));
-        else
+        if (kept->type == HBP_TYPE_BLOB_READ && !(kept->flags & ERROR_FLAG)) {
+            if (!find_blob(h, kept->payload[0], &total) || total != hbp_get32(kept->payload + 8)) return 0; /* another capture */
+            (void)blob_reply(h, kept->payload[0], hbp_get32(kept->payload + 4), hbp_get16(kept->payload + 2), total);
+        } else {
             memcpy(h->link->work, kept->payload, kept->length);
+        }
         reply(h, request, kept->flags, kept->length, kept->transfer);
         return 1;
     }
@@ -1157,13 +1310,12 @@ static int answered_before(struct hbp *h, const struct request *request, uint32_
 static struct hbp_peer *peer_of(struct hbp *h, uint8_t number)
 {
     struct hbp_peer *oldest = h->peers;
-    static const struct hbp_peer none;
     for (unsigned k = 0; k < HBP_HOSTS; k++) {
         struct hbp_peer *each = &h->peers[k];
         if (each->number == number && each->used) return each;
         if (each->used < oldest->used) oldest = each;
     }
-    *oldest = none;
+    memset(oldest, 0, sizeof *oldest);
     oldest->number = number;
     oldest->tx_max = HBP_TX_MAX;
     return oldest;
@@ -1182,8 +1334,8 @@ void hbp_receive(struct hbp *h, const uint8_t *raw, uint8_t host, int mine)
     uint32_t newest = 0;
     request.type = raw[0];
     request.flags = raw[1];
-    request.tid = get16(raw + 2);
-    request.length = get16(raw + 4);
+    request.tid = hbp_get16(raw + 2);
+    request.length = hbp_get16(raw + 4);
     request.payload = raw + HEADER;
     if (request.flags & (REPLY | ERROR_FLAG)) {
         h->link->ignored++;
@@ -1194,6 +1346,7 @@ void hbp_receive(struct hbp *h, const uint8_t *raw, uint8_t host, int mine)
         if (h->peers[i].used > newest) newest = h->peers[i].used;
     h->peer->used = newest + 1u;
     while (k < n && requests[k].type != request.type) k++;
+    if (k < n && (requests[k].feature & ~h->features)) k = n;
     if (!mine) {
         refuse(h, &request, HBP_ERROR_UNKNOWN_NODE, (float)raw[6]);
     } else if (request.type != HBP_TYPE_HELLO && (request.flags & MAJOR_MASK) != HBP_MAJOR) {
@@ -1229,7 +1382,7 @@ static uint32_t wrong_channel(const struct hbp_config *config, uint32_t k)
     const struct hbp_channel *c = &config->channels[k];
     if (!fits(c->name, 1, 16)) return HBP_WRONG_CHANNEL_NAME;
     if (c->type < HBP_RAW_U8 || c->type > HBP_RAW_F32) return HBP_WRONG_CHANNEL_TYPE;
-    if (!finite_number(c->scale) || c->scale == 0.0f || !finite_number(c->offset)) return HBP_WRONG_CHANNEL_SCALE;
+    if (!hbp_finite(c->scale) || c->scale == 0.0f || !hbp_finite(c->offset)) return HBP_WRONG_CHANNEL_SCALE;
     if ((uint32_t)c->at + hbp_widths[c->type] > config->sample_bytes) return HBP_WRONG_CHANNEL_PLACE;
     for (uint32_t j = 0; j < k; j++)
         if (config->channels[j].id == c->id || same_text(config->channels[j].name, c->name)) return HBP_WRONG_CHANNEL_TWICE;
@@ -1256,10 +1409,18 @@ static uint32_t wrong(const struct hbp_config *config)
     if (!fits(config->name, 1, 16) || !fits(config->firmware, 0, 16)) return HBP_WRONG_TEXT;
     if (!fits(config->serial, 0, 24) || !fits(config->build, 0, 24)) return HBP_WRONG_TEXT;
     if (config->n_channels > HBP_CHANNELS) return HBP_WRONG_COUNT;
+    if (HBP_WAVEFORM && config->waveform && config->waveform_length < 256u) return HBP_WRONG_WAVEFORM;
     for (k = 0; k < config->n_channels && !code; k++) code = wrong_channel(config, k);
     if (code) return code | (k - 1u);
     for (k = 0; k < config->n_parameters && !code; k++) code = wrong_parameter(config, k);
     return code ? code | (k - 1u) : 0;
+}
+
+static uint16_t find_parameter(const struct hbp_config *config, const char *name)
+{
+    for (uint16_t k = 0; k < config->n_parameters; k++)
+        if (same_text(config->parameters[k].name, name)) return k;
+    return HBP_NONE;
 }
 
 uint32_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_config *config, uint32_t boot_id)
@@ -1276,9 +1437,7 @@ uint32_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_co
     h->boot_id = boot_id;
     h->cfg_id = (uint16_t)boot_id;
     h->period = config->tick_hz / config->pwm_hz;
-    h->watchdog = HBP_NONE;
-    for (uint16_t k = 0; k < config->n_parameters; k++)
-        if (same_text(config->parameters[k].name, "watchdog")) h->watchdog = k;
+    h->watchdog = find_parameter(config, "watchdog");
     h->schema_crc = 0xFFFFFFFFu;
     for (uint32_t k = 0; k < (uint32_t)config->n_channels + config->n_parameters; k++) {
         record_bytes(config, k, record);
@@ -1286,6 +1445,19 @@ uint32_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_co
     }
     h->schema_crc ^= 0xFFFFFFFFu;
     h->peer = peer_of(h, 0);
+    h->features = config->features & ~(uint32_t)(GIVEN | LACKING);
+    if (config->meanings) h->features |= HBP_FEATURE_MEANINGS;
+#if HBP_WAVEFORM
+    h->test = find_parameter(config, "test");
+    if (config->waveform) {
+        h->features |= HBP_FEATURE_WAVEFORM;
+        memset(config->waveform, 0, 2u * (size_t)config->waveform_length);
+    }
+#endif
+#if HBP_CAPTURE
+    code = hbp_capture_init(h);
+    if (code) return code;
+#endif
     *last = h;
     link->nodes++;
     return 0;
@@ -1504,7 +1676,7 @@ static void delimiter(struct hbp_link *link)
     link->skipping = link->broken = link->code = link->left = 0;
     link->decoded = link->encoded = 0;
     if (skipped || empty) return;
-    if (damaged || hbp_crc(0xFFFFFFFFu, link->rx, n) != 0xDEBB20E3u || get16(link->rx + 4) != n - HEADER - CRC_BYTES)
+    if (damaged || hbp_crc(0xFFFFFFFFu, link->rx, n) != 0xDEBB20E3u || hbp_get16(link->rx + 4) != n - HEADER - CRC_BYTES)
         link->base.bad++;
     else
         frame_came(link);

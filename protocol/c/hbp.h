@@ -144,6 +144,15 @@ extern "C" {
 #ifndef HBP_CRC_TABLE
 #define HBP_CRC_TABLE 16 /* entries of 4 bytes: 16, or 256, which is twice as quick */
 #endif
+#ifndef HBP_CAPTURE
+#define HBP_CAPTURE 1 /* 1: with hbp_capture.c, which holds samples and edges in memory that the configuration gives; 0: without */
+#endif
+#ifndef HBP_WAVEFORM
+#define HBP_WAVEFORM 1 /* 1: hosts can write samples of a test signal into memory that the configuration gives; 0: they cannot */
+#endif
+#ifndef HBP_CAPTURE_PART
+#define HBP_CAPTURE_PART 256 /* bytes of a frozen capture of which hbp_poll makes the CRC at a time */
+#endif
 #ifndef HBP_BARRIER
 #if defined(__GNUC__)
 #define HBP_BARRIER() __atomic_thread_fence(__ATOMIC_SEQ_CST)
@@ -369,7 +378,7 @@ struct hbp_channel {
 struct hbp_parameter {
     uint16_t id;      /* unique among parameters */
     uint8_t unit;
-    uint16_t flags;   /* HBP_FLAG_READ_ONLY, HBP_FLAG_IDLE_ONLY, HBP_FLAG_WHOLE */
+    uint16_t flags;   /* HBP_FLAG_READ_ONLY, HBP_FLAG_IDLE_ONLY, HBP_FLAG_WHOLE, HBP_FLAG_VOLATILE, and its group */
     float lo, hi;     /* range, inclusive */
     float initial;    /* out of the box */
     float *value;     /* what the firmware computes with; unused where the configuration has `get` and `set` */
@@ -398,6 +407,13 @@ struct hbp_config {
     uint16_t (*commit)(void *user, float *detail);              /* store all parameters; or null */
     float (*get)(void *user, uint16_t k);                       /* value of parameters[k]; or null */
     uint16_t (*set)(void *user, uint16_t k, float value, float *detail); /* use it, it is within its range; or null */
+    uint8_t *capture;           /* memory for captures, or null */
+    uint32_t capture_bytes;     /* less than 2^31 */
+    const uint16_t *fault_channels; /* ids of the channels that are held until a fault; or null: all without HBP_FLAG_ON_REQUEST */
+    uint16_t n_fault_channels;
+    const char *meanings;       /* what parameters and channels mean, "name meaning\n" for each (5.45 of SPEC); or null */
+    int16_t *waveform;          /* samples of the test signal, which the host writes while the parameter "test" is 0; or null */
+    uint16_t waveform_length;   /* how many, 256 at least */
 };
 
 /* ---- memory; nothing in it is the application's to write ----------------------------------------------------------------- */
@@ -410,7 +426,7 @@ struct hbp_reply { /* one that is kept */
     uint32_t request; /* its CRC-32 */
     uint16_t tid, length;
     uint8_t type, flags, transfer, there;
-    uint8_t payload[26 + 2 * HBP_CHANNELS];
+    uint8_t payload[(HBP_CAPTURE ? 66 : 26) + 2 * HBP_CHANNELS];
 };
 
 struct hbp_peer { /* a host */
@@ -455,15 +471,65 @@ struct hbp_stream {
     volatile uint32_t dropped;   /* frames for which there was no place */
 };
 
+#if HBP_CAPTURE
+struct hbp_run { /* bytes of a sample that stand side by side in a record, too */
+    uint16_t at, bytes;
+};
+
+struct hbp_capture {
+    volatile uint8_t running;    /* the main loop's: the interrupts take records and edges; hbp_tick ends it */
+    volatile uint8_t state;      /* the main loop's; hbp_tick makes ARMED TRIGGERED */
+    volatile uint8_t asked;      /* the main loop's: the trigger that has come; `asked_tick` when */
+    volatile uint8_t raised;     /* hbp_raise's: a fault has come */
+    volatile uint8_t edged;      /* hbp_edge's: an edge is the trigger; `edge_tick` when */
+    /* the main loop's, and the interrupts' to read while `running` */
+    uint8_t trigger;             /* as armed */
+    uint8_t width, is_float, is_edge, is_change; /* of the channel that is watched, width 0: none; the condition must begin; or is change */
+    /* hbp_tick's */
+    uint8_t aligned, was, wrapped, cause;
+    /* hbp_edge's */
+    uint8_t edge_wrapped, before_last;
+    uint16_t edge_to;            /* where the next edge goes */
+    uint16_t skip;               /* hbp_tick's: periods without a record before the next one */
+    /* the main loop's, as above */
+    uint16_t decimation, record_bytes, edge_room, at, runs, channels, number;
+    uint32_t low, span, flip;    /* a raw value exclusive-or `flip` fulfils the condition from `low` to `low + span`; hbp_tick's for change */
+    uint8_t *records;            /* behind the edges */
+    uint32_t ring_bytes;         /* of all records */
+    uint32_t before, after;
+    volatile uint32_t asked_tick, asked_faults;
+    uint32_t pulse;              /* ticks */
+    uint32_t room;               /* bytes of memory, 0: there is no capture */
+    /* hbp_tick's */
+    uint32_t to;                 /* where the next record goes */
+    uint32_t left;               /* records still to be taken after the trigger */
+    uint32_t back;               /* records that had been taken from the trigger's on when it was seen */
+    uint32_t faults;             /* at the trigger */
+    uint32_t edges_begun;        /* edges before the first record of the ring was written last */
+    uint64_t index;              /* of the trigger's record */
+    /* hbp_edge's */
+    uint32_t edge_tick, last_tick, edge_end; /* edge_end: number of the edge after the last one that was held */
+    /* the main loop's */
+    uint32_t start, edge_start;  /* of blob 1 in the rings, bytes */
+    uint32_t summed;             /* bytes of it that are in the CRC */
+    uint32_t told[12];           /* what the reply tells of a frozen one */
+    struct hbp_run run[HBP_CHANNELS];
+    uint16_t take[HBP_CHANNELS]; /* positions in the table of channels */
+};
+#endif
+
 struct hbp { /* a device */
     const struct hbp_config *config;
     struct hbp_link_base *link;
     struct hbp *other; /* the next one on the link */
-    uint32_t boot_id, schema_crc, period; /* period: ticks of a PWM period */
+#if HBP_CAPTURE
+    struct hbp_capture *capture; /* null: no memory for it */
+#endif
+    uint32_t features, boot_id, schema_crc, period; /* period: ticks of a PWM period */
     uint64_t now, fed, armed, next_heartbeat;
     uint32_t faults, first_fault, dropped, beat;
     uint16_t setpoint_counter, setpoints_rejected, last_tid, cfg_id;
-    uint16_t watchdog; /* position of that parameter, HBP_NONE: there is none */
+    uint16_t watchdog, test; /* positions of these parameters, HBP_NONE: there is none */
     uint8_t state;
     struct hbp_peer *peer; /* whose request is being answered */
     struct hbp_peer peers[HBP_HOSTS];
@@ -479,6 +545,9 @@ struct hbp { /* a device */
     volatile uint32_t edges; /* since boot */
     volatile uint16_t edge_head, edge_tail;
     struct hbp_hall_edge ring[HBP_EDGES];
+#if HBP_CAPTURE
+    struct hbp_capture captured;
+#endif
 };
 
 struct hbp_link_base { /* what all kinds of link have */
@@ -511,6 +580,8 @@ enum {
     HBP_WRONG_TEXT = 0x50000,            /* no name, or a text that is too long or has control characters */
     HBP_WRONG_COUNT = 0x60000,           /* more channels than HBP_CHANNELS */
     HBP_WRONG_BUS = 0x70000,             /* hbp_can_init */
+    HBP_WRONG_CAPTURE = 0x80000,         /* too little memory for two records, or a wrong id in fault_channels */
+    HBP_WRONG_WAVEFORM = 0x90000,        /* fewer than 256 samples */
     HBP_WRONG_CHANNEL_NAME = 0x110000,   /* empty or longer than 16 bytes */
     HBP_WRONG_CHANNEL_TYPE = 0x120000,   /* not one of HBP_RAW_… */
     HBP_WRONG_CHANNEL_SCALE = 0x130000,  /* 0, or not finite */

@@ -319,7 +319,7 @@ static struct hbp_transfer *transfer_of(struct hbp_can *can, uint16_t key)
 /* Whether a message is whole; then header and payload, as on a byte link, stand at `buffer`. */
 static int finish(struct hbp_can *can, struct hbp_transfer *t, int single)
 {
-    uint8_t *body = t->buffer + 2, crc[CRC_BYTES];
+    uint8_t *body = t->buffer + 2, header[HEADER], crc[CRC_BYTES];
     uint32_t length = t->n < HEADER ? 0 : body[4] | (uint32_t)body[5] << 8;
     uint32_t needed = HEADER + length + (single ? 0 : CRC_BYTES), most, last;
     if (single) {
@@ -332,7 +332,8 @@ static int finish(struct hbp_can *can, struct hbp_transfer *t, int single)
         can->base.bad++;
         return 0;
     }
-    memmove(t->buffer, body, HEADER);
+    memcpy(header, body, HEADER);
+    memcpy(t->buffer, header, HEADER);
     t->buffer[6] = (uint8_t)(t->key >> 4 & 15u); /* the identifier's node, which is 0 in a HELLO to all */
     t->buffer[7] = 0;
     hbp_put32(crc, hbp_crc(0xFFFFFFFFu, t->buffer, 8u + length) ^ 0xFFFFFFFFu);

@@ -29,10 +29,25 @@ struct hbp_way { /* how a device's messages and streams get onto its link */
 
 extern const uint8_t hbp_widths[]; /* bytes of each raw type */
 
+#if defined(__BYTE_ORDER__) && defined(__ORDER_LITTLE_ENDIAN__) && __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__ && !defined(HBP_PORTABLE)
+#define HBP_LITTLE_ENDIAN 1 /* values stand in memory as they do on the wire */
+#else
+#define HBP_LITTLE_ENDIAN 0
+#endif
+
 uint8_t *hbp_put16(uint8_t *to, uint32_t value);
 uint8_t *hbp_put32(uint8_t *to, uint32_t value);
 uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags);
 uint32_t hbp_get32(const uint8_t *from);
+uint16_t hbp_get16(const uint8_t *from);
+float hbp_get_float(const uint8_t *from);
+int hbp_finite(float value);
+void hbp_event(struct hbp *h, uint32_t code, float arg, float detail);
+uint32_t hbp_rounded_up(uint64_t index, uint16_t decimation);
+const struct hbp_channel *hbp_find_channel(const struct hbp *h, uint32_t id);
+uint16_t hbp_choose(const struct hbp *h, const uint8_t *ids, uint32_t n, uint32_t *bytes, float *detail);
+void hbp_take_channels(const struct hbp *h, const uint8_t *ids, uint32_t n, uint16_t *take);
+void hbp_copy_sample(const struct hbp *h, const uint16_t *take, uint32_t n, const uint8_t *sample, uint8_t *to);
 uint32_t hbp_crc(uint32_t crc, const uint8_t *data, size_t n);
 uint32_t hbp_in_time(const struct hbp *h, uint32_t latency_ms, uint32_t decimation);
 uint32_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_config *config, uint32_t boot_id);
@@ -42,5 +57,17 @@ void hbp_advance(struct hbp *h, uint64_t now);
 void hbp_stop(struct hbp *h);
 uint32_t hbp_dropped(const struct hbp *h);
 uint16_t hbp_watchdog_ms(const struct hbp *h);
+
+#if HBP_CAPTURE
+uint32_t hbp_capture_init(struct hbp *h);
+void hbp_capture_ask(struct hbp *h, uint8_t trigger);                 /* main loop: the trigger, if it is armed with that one */
+void hbp_capture_tick(struct hbp *h, const uint8_t *sample);          /* interrupt, before the period is counted */
+void hbp_capture_edge(struct hbp *h, uint32_t tick, uint8_t codes, uint16_t encoder); /* interrupt, before the edge is counted */
+void hbp_capture_poll(struct hbp *h);
+uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail);
+uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail);
+uint32_t hbp_capture_blob_bytes(const struct hbp *h);                 /* 0: none is frozen */
+const uint8_t *hbp_capture_blob(const struct hbp *h, uint32_t offset, uint32_t *n); /* bytes there, at most *n */
+#endif
 
 #endif

@@ -24,6 +24,7 @@ BEGIN, END = "<!-- sizes -->\n", "<!-- end -->"
 COMPILER = "arm-none-eabi-gcc"
 CORE = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c99")
 FLAGS = (*CORE, "-Os", "-ffunction-sections", "-fdata-sections", "-DHBP_CHANNELS=8")
+FILES = [SOURCE / "hbp.c", SOURCE / "hbp_capture.c"]
 LIMIT = 60.0  # s, for QEMU
 
 COMMON = ("hbp_tick", "hbp_edge", "hbp_may_run", "hbp_raise", "hbp_fault", "hbp_log")
@@ -61,28 +62,29 @@ def _sections(file: Path) -> int:
     return sum(int(size) for _, size in listed)
 
 
-def _structures(folder: Path) -> dict[str, int]:
+def _structures(folder: Path, flags: tuple[str, ...]) -> dict[str, int]:
     """Bytes of each structure that an application owns."""
     source, compiled = folder / "structures.c", folder / "structures.o"
     source.write_text('#include "hbp_can.h"\nstruct hbp_link link_; struct hbp_can can; struct hbp device;\n')
-    _run(COMPILER, *FLAGS, f"-I{SOURCE}", "-c", source, "-o", compiled)
+    _run(COMPILER, *flags, f"-I{SOURCE}", "-c", source, "-o", compiled)
     symbols = _run("arm-none-eabi-nm", "-S", compiled)
     return {name: int(size, 16) for size, name in re.findall(r"^\w+ (\w+) \w (\w+)$", symbols, re.M)}
 
 
-def cost(what: str, can: bool) -> Cost:
+def cost(what: str, can: bool, capture: bool) -> Cost:
     """Of a byte link, or of a classic CAN bus, compiled for size with 8 channels and otherwise as hbp.h is."""
-    files = [SOURCE / "hbp.c", *([SOURCE / "hbp_can.c"] if can else [])]
+    files = [*FILES, *([SOURCE / "hbp_can.c"] if can else [])]
+    flags = (*FLAGS, f"-DHBP_CAPTURE={capture:d}", f"-DHBP_WAVEFORM={capture:d}")
     keep = CAN if can else BYTES
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         elf = folder / "whole.elf"
         link = ("-nostartfiles", "-specs=nano.specs", "-Wl,--gc-sections", f"-Wl,-e,{keep[0]}")
-        _run(COMPILER, *FLAGS, *link, *(f"-Wl,-u,{each}" for each in keep), *files, "-o", elf)
+        _run(COMPILER, *flags, *link, *(f"-Wl,-u,{each}" for each in keep), *files, "-o", elf)
         bare = folder / "bare.elf"  # the same without what the libraries give
         alone = ("-nostdlib", "-Wl,--gc-sections", "-Wl,--unresolved-symbols=ignore-all", f"-Wl,-e,{keep[0]}")
-        _run(COMPILER, *FLAGS, *alone, *(f"-Wl,-u,{each}" for each in keep), *files, "-o", bare)
-        sizes = _structures(folder)
+        _run(COMPILER, *flags, *alone, *(f"-Wl,-u,{each}" for each in keep), *files, "-o", bare)
+        sizes = _structures(folder, flags)
         code = _sections(elf)
         return Cost(what, code, code - _sections(bare), sizes["can" if can else "link_"], sizes["device"])
 
@@ -91,7 +93,7 @@ def instructions() -> list[tuple[str, int, int]]:
     """Name, mean and most of some calls, counted on QEMU's Cortex-M4F; each time the same."""
     with tempfile.TemporaryDirectory() as name:
         elf = Path(name, "cost.elf")
-        files = (Path(__file__).with_name("cost.c"), BOARD / "start.c", SOURCE / "hbp.c", SOURCE / "hbp_can.c")
+        files = (Path(__file__).with_name("cost.c"), BOARD / "start.c", *FILES, SOURCE / "hbp_can.c")
         link = ("-nostartfiles", "-specs=nano.specs", "-T", str(BOARD / "mps2.ld"), "-Wl,--gc-sections")
         _run(COMPILER, *FLAGS, *link, *files, "-o", elf)
         command = ["qemu-system-arm", "-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "null"]
@@ -130,7 +132,10 @@ def write(text: str) -> None:
 
 def costs() -> list[Cost]:
     """Of all links."""
-    return [cost("byte link: hbp.c", False), cost("classic CAN: hbp.c, hbp_can.c", True)]
+    links = (("byte link: hbp.c", False), ("classic CAN: hbp.c, hbp_can.c", True))
+    return [
+        cost(f"{what}, hbp_capture.c" if capture else what, can, capture) for capture in (False, True) for what, can in links
+    ]
 
 
 if __name__ == "__main__":
