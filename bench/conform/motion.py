@@ -33,7 +33,7 @@ from bench.device.safety import is_off, says
 from bench.rig.runaway import Runaway
 from bench.signal.units import RPM, pole_pairs
 from bench.signal.waveforms.sectors import edge_passages, steps_between
-from protocol.codes import Command, DriveState, ErrorCode, EventCode, Fault, Role, SetpointMode
+from protocol.codes import Command, DriveState, ErrorCode, EventCode, Fault, Feature, Role, SetpointMode
 from protocol.descriptor import Channel
 from protocol.messages import Heartbeat, StateReply
 from protocol.signals import Flag, Unit
@@ -316,7 +316,7 @@ def edges_before_samples(device: Device) -> str:
 
 def _some(device: Device, least: int = 2) -> list[Edge]:
     """Edges of the turn. Raises NotApplicable, Unknown."""
-    device.require_edges()
+    device.require(Feature.EDGES)
     turn = turned(device)
     if turn.dropped or len(turn.edges) < least:
         raise Unknown(turn.dropped or f"only {len(turn.edges)} edges received")
@@ -443,7 +443,7 @@ FORWARD = set(pairwise((1, 3, 2, 6, 4, 5, 1)))
 @check("edges-alone", "11.11 11.16 11.36")
 def edges_alone(device: Device) -> str:
     """A stream of edges alone has all edges, none later than max_latency_ms."""
-    device.require_edges()
+    device.require(Feature.EDGES)
     told = device.configure_edges(0, latency_ms=ALONE_MS)
     device.start_streams(1)
     with device.probe.watched(_Watch(device, None, None, told.reply.slot).look):

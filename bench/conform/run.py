@@ -120,6 +120,7 @@ def conform(
             raise NoReply(forbidden or f"{options.target}: {ended}") from None
         run = Run(options, device.hello, line.bus)
         try:
+            device.look_at_capture()
             _Course(run, rig, device, screen, told, forbidden).go()
         finally:  # another host has talked on this link
             rig.signal.uninterrupted(lambda: failures_of([client.connect]))
@@ -159,7 +160,11 @@ class _Course:
 
     def go(self) -> None:
         """All of them; if it cannot go on, the rest is unknown."""
-        self._all()
+        try:
+            self._all()
+        finally:
+            with suppress(Ended, LinkError):
+                self._device.give_up_capture()
         self._run.troubles += [f"not restored: {words}" for words in self._device.not_put_back]
 
     def _all(self) -> None:

@@ -10,8 +10,8 @@ from bench.conform.checks import Group
 from bench.conform.device import Device
 from bench.conform.levels import STATES
 from bench.conform.probe import refusal
-from bench.conform.verdicts import Failed, Unknown
-from protocol.codes import DriveState, ErrorCode, EventCode, MessageType, SetpointMode
+from bench.conform.verdicts import Failed, NotApplicable, Unknown
+from protocol.codes import DriveState, ErrorCode, EventCode, Feature, MessageType, SetpointMode
 from protocol.messages import DeviceEvent, Heartbeat
 
 check = Group("setpoint", STATES)
@@ -82,6 +82,8 @@ def unanswered(device: Device) -> str:
 @check("value2-unused", "8.7")
 def value2_unused(device: Device) -> str:
     """SPEED 0 with a finite value2, which SPEED does not use, is accepted."""
+    if device.offers(Feature.COMMISSION):
+        raise NotApplicable("with the feature COMMISSION, value2 of SPEED is a current")
     device.run()
     if not is_taken(device, SetpointMode.SPEED, 0x0101):
         raise Unknown("SPEED 0 was not accepted")
