@@ -84,7 +84,9 @@ def waveform(device: Device) -> str:
             device.probe.ask(MessageType.BLOB_WRITE, written(WAVEFORM, place, before[place : place + LONG]))
     wrong = [at for at, (one, other) in enumerate(zip(now, due, strict=False)) if one != other]
     if len(now) != len(due) or wrong:
-        where = f"byte {wrong[0]} is {now[wrong[0]]:02x}, not {due[wrong[0]]:02x}" if wrong else f"it has {len(now)} bytes"
+        where = (
+            f"byte {wrong[0]} is {now[wrong[0]]:02x}, not {due[wrong[0]]:02x}" if wrong else f"it has {len(now)} bytes"
+        )
         raise Failed(f"blob 4 was written at {places}: {where}")
     return f"{len(before)} bytes; written at {', '.join(map(str, places))}, and nowhere else"
 

@@ -43,6 +43,7 @@ check = Group("capture", STREAMS)
 OF_BLOB = ("first", "records", "edges", "edges_lost", "first_edge", "size", "crc", "tick", "index", "faults")
 """Fields of a CaptureReply that are 0 while nothing is FROZEN."""
 STREAMED = 800.0  # Hz of the samples beside a capture
+BESIDE = 0.05  # s that the stream runs before and after
 DECIMATION = 3
 AROUND = 40  # records before a trigger, and from it on
 SPARSE = 50  # a decimation
@@ -57,7 +58,9 @@ KINDS = (
 def stands_by(device: Device) -> str:
     """After OFF the device waits for a fault by itself; blob 1 is not there, and nothing is told of it."""
     told = require_capture(device)
-    words = f"{told.state.name} with trigger {told.trigger.name}, {told.before} records before and {told.after} after it"
+    words = (
+        f"{told.state.name} with trigger {told.trigger.name}, {told.before} records before and {told.after} after it"
+    )
     if (told.state, told.trigger) != (CaptureState.ARMED, CaptureTrigger.FAULT):
         raise Failed(words)
     if not told.number or not told.channels or not told.decimation or not told.before > told.after > 0:
@@ -188,21 +191,23 @@ def as_streamed(device: Device) -> Iterator[str]:
         records = fitting_records(device, chosen)
         told = device.configure(0, ids(chosen), STREAMED, share=ALL)
         device.start_streams(1)
-        device.streamed(0, 0.05)
+        device.probe.listen(BESIDE)
         began = device.probe.tick()[0]
-        found = captured(
-            device, CaptureArm(CaptureTrigger.NOW, 0, decimation, 0, records, channels=ids(order))
-        )
-        device.streamed(0, 0.05)
+        found = captured(device, CaptureArm(CaptureTrigger.NOW, 0, decimation, 0, records, channels=ids(order)))
+        device.probe.listen(BESIDE)
         samples = by_index(device, told, chosen)
         device.stop_streams()
         reply = found.reply
         if words := place_of(reply, told.reply.tick0, device.ticks_per_period):
             raise Failed(words)
         if crc32(found.blob) != reply.crc:
-            raise Failed(f"crc is {reply.crc:08x}, that of the {len(found.blob)} bytes of blob 1 {crc32(found.blob):08x}")
+            raise Failed(
+                f"crc is {reply.crc:08x}, that of the {len(found.blob)} bytes of blob 1 {crc32(found.blob):08x}"
+            )
         if reply.records != reply.first + reply.after or reply.channels != ids(order):
-            raise Failed(f"{reply.records} records of channels {reply.channels}, asked for were {records} of {ids(order)}")
+            raise Failed(
+                f"{reply.records} records of channels {reply.channels}, asked for were {records} of {ids(order)}"
+            )
         if not between(began, reply.tick, device.probe.tick()[1]):
             raise Failed(f"the trigger's record has tick {reply.tick}, the request came at {began}")
         yield _same(found, samples, chosen)
@@ -345,8 +350,11 @@ def judged_in_each_period(device: Device) -> str:
         request = CaptureArm(CaptureTrigger.ABOVE, 0, SPARSE, 2, 2, level, channel.id, channels=(channel.id,))
         found = captured(device, request)
         above += bool(found.values(channel)[found.reply.first] > level)
-    words = f"{channel.name} above {level:.6g}, as {100 * shares[rare[0]]:.1f} % of the periods are, one in {SPARSE} kept"
+    words = (
+        f"{channel.name} above {level:.6g}, as {100 * shares[rare[0]]:.1f} % of the periods are, one in {SPARSE} kept"
+    )
     if above == OFTEN:
-        raise Failed(f"{words}: the trigger's record is above it in each of {OFTEN} captures, as if no other were judged")
+        raise Failed(
+            f"{words}: the trigger's record is above it in each of {OFTEN} captures, as if no other were judged"
+        )
     return f"{words}: the trigger's record is above it in {above} of {OFTEN} captures"
-

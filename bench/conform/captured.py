@@ -162,4 +162,3 @@ def place_of(told: CaptureReply, tick0: int, ticks_per_period: int) -> str:
 def between(first: int, tick: int, last: int) -> bool:
     """Whether a tick lies between two others, the low 32 bits of all of them."""
     return signed(tick - first) >= 0 and signed(last - tick) >= 0
-

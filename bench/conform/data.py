@@ -386,6 +386,7 @@ def few(device: Device) -> tuple[Channel, ...]:
 
 
 def split_sample(sample: bytes, chosen: tuple[Channel, ...]) -> list[bytes]:
+    """The raw values in a sample of these channels, one by one."""
     found, at = [], 0
     for channel in chosen:
         found.append(sample[at : at + width(channel)])

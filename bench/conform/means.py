@@ -34,10 +34,10 @@ def _chosen(device: Device) -> tuple[Channel, ...]:
     plain = [c for c in device.channels if c.unit == Unit.NONE and c not in wraps]
     others = [c for c in device.channels if c not in wraps and c not in plain]
     currents = sorted(others, key=lambda channel: channel.unit != Unit.A)
-    return tuple([*wraps[:1], *plain[:1], *currents[:2]])
+    return (*wraps[:1], *plain[:1], *currents[:2])
 
 
-def _every_period(device: Device, chosen: Sequence[Channel]) -> dict[int, bytes]:
+def every_period(device: Device, chosen: Sequence[Channel]) -> dict[int, bytes]:
     """Samples of consecutive periods by index, while a stream runs: captured, or else streamed. Raises Unknown."""
     if device.offers(Feature.CAPTURE):
         require_capture(device)
@@ -65,16 +65,14 @@ def means(device: Device) -> str:
         raise Failed(f"sample_bytes is {told.reply.sample_bytes} for the means of {len(chosen)} channels")
     device.start_streams(1)
     device.streamed(0, WATCHED / 2) if not device.probe.line.bus else device.probe.listen(WATCHED / 2)
-    samples = _every_period(device, chosen)
+    samples = every_period(device, chosen)
     device.probe.listen(WATCHED / 2)
     as_floats = tuple(replace(channel, raw=RawType.F32) for channel in chosen)
     found = by_index(device, told, as_floats)
     return _compared(told, chosen, found, samples)
 
 
-def _compared(
-    told: Configured, chosen: Sequence[Channel], found: dict[int, bytes], samples: dict[int, bytes]
-) -> str:
+def _compared(told: Configured, chosen: Sequence[Channel], found: dict[int, bytes], samples: dict[int, bytes]) -> str:
     decimation, looked, differs = told.asked.decimation, 0, False
     for index, record in found.items():
         span = [(index - k) & 0xFFFFFFFF for k in range(decimation - 1, -1, -1)]

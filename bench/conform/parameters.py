@@ -71,7 +71,7 @@ def set_own_value(device: Device) -> str:
     return f"{len(records)} parameters set to their present values, and unchanged"
 
 
-def _refused(device: Device, record: Channel, value: float, code: ErrorCode, detail: float) -> str:
+def value_refused(device: Device, record: Channel, value: float, code: ErrorCode, detail: float) -> str:
     """Evidence that a value is refused and nothing changes; the value is restored whatever happens."""
     before = device.parameter(record).value
     try:
@@ -89,7 +89,7 @@ def read_only(device: Device) -> Iterator[str]:
     record = device.parameters(Flag.READ_ONLY)[0]
     told = device.parameter(record)
     values = (told.value, math.nan, _beyond(told.hi, math.inf))
-    return (_refused(device, record, value, ErrorCode.READ_ONLY, record.id) for value in values)
+    return (value_refused(device, record, value, ErrorCode.READ_ONLY, record.id) for value in values)
 
 
 @check("not-finite", "5.29 5.26")
@@ -97,7 +97,7 @@ def not_finite(device: Device) -> Iterator[str]:
     """NaN and infinity are refused before the range is checked."""
     records = device.parameters(without=Flag.READ_ONLY)[:SOME]
     return (
-        _refused(device, record, value, ErrorCode.BAD_VALUE, value)
+        value_refused(device, record, value, ErrorCode.BAD_VALUE, value)
         for record in records
         for value in (math.nan, math.inf, -math.inf)
     )
@@ -109,7 +109,7 @@ def whole(device: Device) -> Iterator[str]:
     for record in device.parameters(Flag.WHOLE, Flag.READ_ONLY)[:SOME]:
         told = device.parameter(record)
         values = [told.value + (0.5 if told.value < told.hi else -0.5), told.hi + 1.5]
-        yield from (_refused(device, record, v, ErrorCode.BAD_VALUE, v) for v in values if abs(v) < 1 << 22)
+        yield from (value_refused(device, record, v, ErrorCode.BAD_VALUE, v) for v in values if abs(v) < 1 << 22)
 
 
 @check("beyond-range", "5.31 5.33")
@@ -122,7 +122,7 @@ def beyond_range(device: Device) -> list[str]:
             whole_number = record.flags & Flag.WHOLE
             value = limit + math.copysign(1.0, direction) if whole_number else _beyond(limit, direction)
             if math.isfinite(value) and value != limit:
-                words.append(_refused(device, record, value, ErrorCode.OUT_OF_RANGE, limit))
+                words.append(value_refused(device, record, value, ErrorCode.OUT_OF_RANGE, limit))
     if not words:
         raise NotApplicable("every float32 is within range")
     return words

@@ -39,7 +39,7 @@ OUTAGE = 3  # times that HELLO is tried for 2.5 s: a link that is out for less i
 ATTEMPTS = 3  # at a check, where this program was held up
 CHECK_TAKES = 30.0  # s at most, and on a UART as long as this many bytes take:
 CHECK_BYTES = 60_000
-MOST = 150.0  # s, and as long on a UART as ten times that; what is not run by then is unknown
+MOST = 200.0  # s, and as long on a UART as ten times that; what is not run by then is unknown
 
 
 @dataclass(frozen=True)

@@ -401,7 +401,7 @@ def start_again(device: Device) -> str:
 @check("edges-set", "11.12 11.11")
 def edges_set(device: Device) -> Iterator[str]:
     """A stream of edges accepts any decimation."""
-    device.require_edges()
+    device.require(Feature.EDGES)
     for decimation in (0, 7):
         answer = device.stream_set(1, (), decimation, 20, StreamEvent.EDGES)
         if answer.error is not None and answer.error.code == ErrorCode.DOES_NOT_FIT:
