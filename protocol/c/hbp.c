@@ -317,7 +317,7 @@ void hbp_raise(struct hbp *h, uint32_t faults)
     if (!(faults & FAULT_MASK & ~before)) return;
     h->raised = ((raised & ~FAULT_MASK) + FAULT_MASK + 1u) | before | (faults & FAULT_MASK);
 #if HBP_CAPTURE
-    if (h->capture && (faults & FAULT_MASK & ~h->faults)) h->capture->raised = 1;
+    if (h->capture && (faults & FAULT_MASK & ~h->faults)) h->capture->calls.by.raised = 1;
 #endif
 }
 
@@ -499,9 +499,13 @@ static const uint8_t *blob_part(const struct hbp *h, uint8_t id, uint32_t offset
 #endif
 #if HBP_WAVEFORM
     case WAVEFORM:
+#if HBP_LITTLE_ENDIAN
+        return (const uint8_t *)h->config->waveform + offset;
+#else
         (void)hbp_put16(made, (uint16_t)h->config->waveform[offset / 2u]);
         *n = 1;
         return made + offset % 2u;
+#endif
 #endif
     default: return (const uint8_t *)h->config->meanings + offset;
     }
@@ -548,7 +552,11 @@ static uint16_t blob_write(struct hbp *h, const uint8_t *in, size_t length, size
     *detail = (float)total;
     if (offset > total || more > total - offset) return HBP_ERROR_OUT_OF_RANGE;
     *detail = (float)in[0];
-    if (h->test != HBP_NONE && parameter_value(h, h->test) > 0.0f) return HBP_ERROR_BUSY;
+    if (h->test != HBP_NONE &&
+        (parameter_value(h, h->test) < 0.0f || parameter_value(h, h->test) > 0.0f)) return HBP_ERROR_BUSY;
+#if HBP_LITTLE_ENDIAN
+    memcpy((uint8_t *)h->config->waveform + offset, in + 8, more);
+#else
     for (in += 8; more--; offset++) {
         uint8_t both[2];
         int16_t *sample = &h->config->waveform[offset / 2u];
@@ -556,6 +564,7 @@ static uint16_t blob_write(struct hbp *h, const uint8_t *in, size_t length, size
         both[offset % 2u] = *in++;
         *sample = (int16_t)hbp_get16(both);
     }
+#endif
     return 0;
 }
 #endif
@@ -1190,31 +1199,32 @@ void hbp_advance(struct hbp *h, uint64_t now)
 
 /* ---- the order of checks ------------------------------------------------------------------------------------------------- */
 
+#define FOLLOWED(count, bytes) ((bytes) << 5 | (count)) /* by as many things as stands at `count`, each of so many bytes */
+
 static const struct {
-    uint8_t type, length;
-    uint8_t count, each; /* where the number of things stands that follow, and the bytes of each, 0: nothing follows */
-    uint8_t feature;     /* without it the type is unknown */
+    uint8_t type, length, followed;
+    uint8_t feature; /* without it the type is unknown */
     answer *answer;
 } requests[] = {
-    {HBP_TYPE_HELLO, 8, 0, 0, 0, hello},
-    {HBP_TYPE_TIME_SYNC, 0, 0, 0, 0, time_sync},
-    {HBP_TYPE_ALIVE, 4, 0, 0, 0, alive},
-    {HBP_TYPE_BLOB_READ, 8, 0, 0, 0, blob_read},
+    {HBP_TYPE_HELLO, 8, 0, 0, hello},
+    {HBP_TYPE_TIME_SYNC, 0, 0, 0, time_sync},
+    {HBP_TYPE_ALIVE, 4, 0, 0, alive},
+    {HBP_TYPE_BLOB_READ, 8, 0, 0, blob_read},
 #if HBP_WAVEFORM
-    {HBP_TYPE_BLOB_WRITE, 8, 2, 1, HBP_FEATURE_WAVEFORM, blob_write},
+    {HBP_TYPE_BLOB_WRITE, 8, FOLLOWED(2, 1), HBP_FEATURE_WAVEFORM, blob_write},
 #endif
-    {HBP_TYPE_PARAM_GET, 4, 0, 0, 0, param_get},
-    {HBP_TYPE_PARAM_SET, 8, 0, 0, 0, param_set},
-    {HBP_TYPE_PARAM_COMMIT, 0, 0, 0, 0, param_commit},
-    {HBP_TYPE_STATE_CMD, 8, 0, 0, 0, state_cmd},
-    {HBP_TYPE_SETPOINT, 12, 0, 0, 0, setpoint},
-    {HBP_TYPE_STREAM_SET, 8, 6, 2, 0, stream_set},
-    {HBP_TYPE_STREAM_START, 4, 0, 0, 0, stream_start},
-    {HBP_TYPE_STREAM_STOP, 4, 0, 0, 0, stream_stop},
-    {HBP_TYPE_STREAM_GET, 4, 0, 0, 0, stream_get},
+    {HBP_TYPE_PARAM_GET, 4, 0, 0, param_get},
+    {HBP_TYPE_PARAM_SET, 8, 0, 0, param_set},
+    {HBP_TYPE_PARAM_COMMIT, 0, 0, 0, param_commit},
+    {HBP_TYPE_STATE_CMD, 8, 0, 0, state_cmd},
+    {HBP_TYPE_SETPOINT, 12, 0, 0, setpoint},
+    {HBP_TYPE_STREAM_SET, 8, FOLLOWED(6, 2), 0, stream_set},
+    {HBP_TYPE_STREAM_START, 4, 0, 0, stream_start},
+    {HBP_TYPE_STREAM_STOP, 4, 0, 0, stream_stop},
+    {HBP_TYPE_STREAM_GET, 4, 0, 0, stream_get},
 #if HBP_CAPTURE
-    {HBP_TYPE_CAPTURE_ARM, 22, 20, 2, HBP_FEATURE_CAPTURE, hbp_capture_arm},
-    {HBP_TYPE_CAPTURE_STATUS, 0, 0, 0, HBP_FEATURE_CAPTURE, hbp_capture_status},
+    {HBP_TYPE_CAPTURE_ARM, 22, FOLLOWED(20, 2), HBP_FEATURE_CAPTURE, hbp_capture_arm},
+    {HBP_TYPE_CAPTURE_STATUS, 0, 0, HBP_FEATURE_CAPTURE, hbp_capture_status},
 #endif
 };
 
@@ -1259,8 +1269,8 @@ static void execute(struct hbp *h, const struct request *request, unsigned k, st
     uint8_t type = request->type, flags = REPLY;
     float detail = 0.0f;
     size_t n = 0;
-    uint32_t least = requests[k].length, whole = least;
-    if (requests[k].each && length >= least) whole += (uint32_t)requests[k].each * hbp_get16(request->payload + requests[k].count);
+    uint32_t least = requests[k].length, whole = least, followed = requests[k].followed;
+    if (followed && length >= least) whole += (followed >> 5) * hbp_get16(request->payload + (followed & 31u));
     if (type == HBP_TYPE_HELLO ? length < least : length != whole) {
         code = HBP_ERROR_BAD_LENGTH;
         detail = (float)length;

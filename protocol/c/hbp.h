@@ -476,17 +476,26 @@ struct hbp_run { /* bytes of a sample that stand side by side in a record, too *
     uint16_t at, bytes;
 };
 
+struct hbp_calls {
+    uint8_t asked;  /* the main loop's: the trigger that has come; `asked_tick` when */
+    uint8_t raised; /* hbp_raise's: a fault has come */
+    uint8_t edged;  /* hbp_edge's: an edge is the trigger; `edge_tick` when */
+    uint8_t fresh;  /* the main loop's: no period has come since the arming */
+};
+
 struct hbp_capture {
+    volatile union {
+        struct hbp_calls by;
+        uint32_t any;
+    } calls;                     /* what hbp_tick must look at */
     volatile uint8_t running;    /* the main loop's: the interrupts take records and edges; hbp_tick ends it */
     volatile uint8_t state;      /* the main loop's; hbp_tick makes ARMED TRIGGERED */
-    volatile uint8_t asked;      /* the main loop's: the trigger that has come; `asked_tick` when */
-    volatile uint8_t raised;     /* hbp_raise's: a fault has come */
-    volatile uint8_t edged;      /* hbp_edge's: an edge is the trigger; `edge_tick` when */
     /* the main loop's, and the interrupts' to read while `running` */
     uint8_t trigger;             /* as armed */
-    uint8_t width, is_float, is_edge, is_change; /* of the channel that is watched, width 0: none; the condition must begin; or is change */
+    uint8_t width, is_float;     /* of the channel that is watched, width 0: none */
+    uint8_t kind;                /* of the condition: 0 it is so, 1 it begins to be so, 2 the value changes */
     /* hbp_tick's */
-    uint8_t aligned, was, wrapped, cause;
+    uint8_t was, wrapped, cause;
     /* hbp_edge's */
     uint8_t edge_wrapped, before_last;
     uint16_t edge_to;            /* where the next edge goes */
@@ -508,7 +517,8 @@ struct hbp_capture {
     uint32_t edges_begun;        /* edges before the first record of the ring was written last */
     uint64_t index;              /* of the trigger's record */
     /* hbp_edge's */
-    uint32_t edge_tick, last_tick, edge_end; /* edge_end: number of the edge after the last one that was held */
+    uint32_t edge_tick, last_tick, lost_tick; /* of the trigger, of the last one, of the last one given up */
+    uint32_t edge_end;           /* number of the edge after the last one */
     /* the main loop's */
     uint32_t start, edge_start;  /* of blob 1 in the rings, bytes */
     uint32_t summed;             /* bytes of it that are in the CRC */
@@ -580,7 +590,7 @@ enum {
     HBP_WRONG_TEXT = 0x50000,            /* no name, or a text that is too long or has control characters */
     HBP_WRONG_COUNT = 0x60000,           /* more channels than HBP_CHANNELS */
     HBP_WRONG_BUS = 0x70000,             /* hbp_can_init */
-    HBP_WRONG_CAPTURE = 0x80000,         /* too little memory for two records, or a wrong id in fault_channels */
+    HBP_WRONG_CAPTURE = 0x80000,         /* too little memory for five records, or a wrong id in fault_channels */
     HBP_WRONG_WAVEFORM = 0x90000,        /* fewer than 256 samples */
     HBP_WRONG_CHANNEL_NAME = 0x110000,   /* empty or longer than 16 bytes */
     HBP_WRONG_CHANNEL_TYPE = 0x120000,   /* not one of HBP_RAW_… */

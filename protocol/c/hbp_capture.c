@@ -15,6 +15,7 @@
 #define HEAD 22u          /* of CAPTURE_ARM */
 #define REPLY_HEAD 66u
 #define ILLEGAL 0x40u
+#define CHANGE 2u         /* kind of a condition */
 #define NO_CODE 0xFFu
 #define SIGN 0x80000000u
 #define INFINITE 0x7F800000u
@@ -92,13 +93,12 @@ static void watch(struct hbp *h, uint8_t trigger, uint16_t id, float level)
     if (trigger < HBP_TRIGGER_ABOVE || trigger > HBP_TRIGGER_CHANGES || !channel) return;
     c->width = hbp_widths[channel->type];
     c->is_float = channel->type == HBP_RAW_F32;
-    c->is_edge = trigger == HBP_TRIGGER_RISES || trigger == HBP_TRIGGER_FALLS;
-    c->is_change = trigger == HBP_TRIGGER_CHANGES;
+    c->kind = (uint8_t)(trigger == HBP_TRIGGER_CHANGES ? CHANGE : trigger >= HBP_TRIGGER_RISES);
     c->flip = flip_of(channel->type);
     c->at = channel->at;
-    c->was = c->is_edge;
+    c->was = c->kind;
     c->low = 0, c->span = 0xFFFFFFFFu;
-    if (!c->is_change) find_range(c, channel, level, trigger == HBP_TRIGGER_ABOVE || trigger == HBP_TRIGGER_RISES);
+    if (c->kind != CHANGE) find_range(c, channel, level, trigger == HBP_TRIGGER_ABOVE || trigger == HBP_TRIGGER_RISES);
 }
 
 /* Channels that stand side by side in the sample too are copied at once. */
@@ -140,11 +140,13 @@ static void begin(struct hbp *h, const uint8_t *in, uint32_t record_bytes)
     find_runs(h);
     watch(h, in[0], hbp_get16(in + 16), level);
     memset(c->told, 0, sizeof c->told);
-    c->asked = 0;
-    c->aligned = c->wrapped = c->raised = c->edged = c->edge_wrapped = 0;
+    c->calls.any = 0;
+    c->calls.by.fresh = 1;
+    c->wrapped = c->edge_wrapped = 0;
     c->before_last = NO_CODE;
     c->edge_to = 0;
     c->edge_end = h->edges;
+    c->edges_begun = h->edges;
     c->to = c->left = 0;
     c->state = HBP_CAPTURE_ARMED;
     hbp_capture_ask(h, HBP_TRIGGER_NOW);
@@ -239,7 +241,7 @@ uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t length, size_t
 uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
 {
     const struct hbp_capture *c = h->capture;
-    uint8_t *to = h->link->work, asked = c->asked, state = c->state;
+    uint8_t *to = h->link->work, asked = c->calls.by.asked, state = c->state;
     uint32_t most = (h->peer->tx_max - REPLY_HEAD) / ID_BYTES, channels = c->channels < most ? c->channels : most;
     (void)in, (void)length, (void)detail;
     if (state != HBP_CAPTURE_ARMED) asked = c->cause;
@@ -261,11 +263,11 @@ uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t length, siz
 void hbp_capture_ask(struct hbp *h, uint8_t trigger)
 {
     struct hbp_capture *c = h->capture;
-    if (c->state != HBP_CAPTURE_ARMED || c->asked || (trigger != HBP_TRIGGER_FAULT && trigger != c->trigger)) return;
+    if (c->state != HBP_CAPTURE_ARMED || c->calls.by.asked || (trigger != HBP_TRIGGER_FAULT && trigger != c->trigger)) return;
     c->asked_faults = h->faults;
     c->asked_tick = (uint32_t)h->now;
     HBP_BARRIER();
-    c->asked = trigger;
+    c->calls.by.asked = trigger;
 }
 
 static int condition(struct hbp_capture *c, const uint8_t *sample)
@@ -273,56 +275,51 @@ static int condition(struct hbp_capture *c, const uint8_t *sample)
     const uint8_t *from = sample + c->at;
     uint32_t raw, key;
     uint16_t half;
-    int in, hit;
-    if (c->width == 2) {
+    uint8_t in, was = c->was;
+    if (c->width == 2u) {
         memcpy(&half, from, sizeof half);
-        raw = half;
-    } else if (c->width == 4) {
-        memcpy(&raw, from, sizeof raw);
+        key = half ^ c->flip;
+    } else if (c->width == 1u) {
+        key = *from ^ c->flip;
     } else {
-        raw = *from;
+        memcpy(&raw, from, sizeof raw);
+        key = key_of(raw, c->flip, c->is_float);
     }
-    key = key_of(raw, c->flip, c->is_float);
     in = key - c->low <= c->span;
-    if (c->is_change) {
+    if (c->kind == CHANGE) {
         c->low = key;
         c->span = 0;
         return !in;
     }
-    hit = in && !c->was;
-    c->was = in && c->is_edge;
-    return hit;
+    c->was = in & c->kind;
+    return in & !was;
 }
 
 static void take(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
 {
-    uint8_t *to = c->records + c->to;
+    uint32_t at = c->to;
+    uint8_t *to = c->records + at;
 #if HBP_LITTLE_ENDIAN
     const struct hbp_run *end = c->run + c->runs;
     for (const struct hbp_run *run = c->run; run < end; run++) {
-        const uint8_t *from = sample + run->at;
-        uint32_t n = run->bytes, word;
-        uint16_t half;
-        for (; n >= 4u; n -= 4u, from += 4, to += 4) {
+        const uint8_t *from = sample + run->at, *words_end = from + (run->bytes & ~3u), *end_of_run = from + run->bytes;
+        uint32_t word;
+        for (; from != words_end; from += 4, to += 4) {
             memcpy(&word, from, sizeof word);
             memcpy(to, &word, sizeof word);
         }
-        if (n & 2u) {
-            memcpy(&half, from, sizeof half);
-            memcpy(to, &half, sizeof half);
-            from += 2, to += 2;
-        }
-        if (n & 1u) *to++ = *from;
+        for (; from != end_of_run; from++) *to++ = *from;
     }
 #else
     hbp_copy_sample(h, c->take, c->channels, sample, to);
 #endif
-    if (!c->to) c->edges_begun = h->edges;
-    c->to += c->record_bytes;
-    if (c->to == c->ring_bytes) {
-        c->to = 0;
+    if (!at) c->edges_begun = h->edges;
+    at += c->record_bytes;
+    if (at == c->ring_bytes) {
+        at = 0;
         c->wrapped = 1;
     }
+    c->to = at;
     if (c->left && --c->left == 0) c->running = 0;
 }
 
@@ -334,38 +331,39 @@ static void trigger(struct hbp *h, struct hbp_capture *c, uint8_t cause, uint32_
     if (back > have) back = have;
     c->back = back;
     c->index = h->index + c->skip - (uint64_t)back * c->decimation;
-    c->faults = c->asked ? c->asked_faults : h->faults | (raised == h->seen ? 0 : raised & FAULT_MASK);
+    c->faults = c->calls.by.asked ? c->asked_faults : h->faults | (raised == h->seen ? 0 : raised & FAULT_MASK);
     c->cause = cause;
     c->width = 0;
     c->left = back < c->after ? c->after - back : 0;
     c->state = HBP_CAPTURE_TRIGGERED;
-    if (!c->left) c->running = 0;
+    if (!c->left) {
+        c->running = 0;
+        c->skip = 1; /* all records have been taken */
+    }
 }
 
 /* Something but a channel tells that the trigger has come; where an edge tells, perhaps only with a later period. */
 static void called(struct hbp *h, struct hbp_capture *c)
 {
     uint32_t tick = (uint32_t)h->config->tick0 + (uint32_t)h->index * h->period, late = tick - c->asked_tick;
-    if (c->raised) trigger(h, c, HBP_TRIGGER_FAULT, 0);
-    else if (c->asked) trigger(h, c, c->asked, late < h->config->tick_hz ? late / h->period : 0);
-    else if (c->edge_tick - tick - 1u >= h->period) trigger(h, c, c->trigger, 0);
+    if (c->calls.by.fresh) {
+        c->skip = (uint16_t)(hbp_rounded_up(h->index, c->decimation) * c->decimation - (uint32_t)h->index);
+        c->calls.by.fresh = 0;
+    }
+    if (c->state != HBP_CAPTURE_ARMED) return;
+    if (c->calls.by.raised) trigger(h, c, HBP_TRIGGER_FAULT, 0);
+    else if (c->calls.by.asked) trigger(h, c, c->calls.by.asked, late < h->config->tick_hz ? late / h->period : 0);
+    else if (c->calls.by.edged && c->edge_tick - tick - 1u >= h->period) trigger(h, c, c->trigger, 0);
 }
 
 void hbp_capture_tick(struct hbp *h, const uint8_t *sample)
 {
     struct hbp_capture *c = h->capture;
-    if (!c->aligned) {
-        c->skip = (uint16_t)(hbp_rounded_up(h->index, c->decimation) * c->decimation - (uint32_t)h->index);
-        c->edges_begun = h->edges;
-        c->aligned = 1;
-    }
-    if (c->state == HBP_CAPTURE_ARMED) {
-        if (c->raised | c->asked | c->edged) called(h, c);
-        if (c->width && condition(c, sample)) trigger(h, c, c->trigger, 0);
-    }
+    if (c->calls.any) called(h, c);
+    if (c->width && condition(c, sample)) trigger(h, c, c->trigger, 0);
     if (c->skip) {
         c->skip--;
-    } else if (c->running) {
+    } else {
         c->skip = (uint16_t)(c->decimation - 1u);
         take(h, c, sample);
     }
@@ -377,12 +375,15 @@ void hbp_capture_edge(struct hbp *h, uint32_t tick, uint8_t codes, uint16_t enco
     int back = (codes >> 3 & 7u) == c->before_last && tick - c->last_tick <= c->pulse;
     c->before_last = codes & 7u;
     c->last_tick = tick;
-    if (!c->edged && (c->trigger == HBP_TRIGGER_ILLEGAL ? (codes & ILLEGAL) != 0 : c->trigger == HBP_TRIGGER_PULSE && back)) {
+    if (!c->calls.by.edged && (c->trigger == HBP_TRIGGER_ILLEGAL ? (codes & ILLEGAL) != 0 : c->trigger == HBP_TRIGGER_PULSE && back)) {
         c->edge_tick = tick;
-        c->edged = 1;
+        c->calls.by.edged = 1;
     }
+    c->lost_tick = tick;
     if (c->edge_room) {
-        (void)hbp_put32(hbp_put32(h->config->capture + EDGE_BYTES * c->edge_to, tick), codes | (uint32_t)encoder << 16);
+        uint8_t *to = h->config->capture + EDGE_BYTES * c->edge_to;
+        c->lost_tick = hbp_get32(to); /* where the ring has been filled before */
+        (void)hbp_put32(hbp_put32(to, tick), codes | (uint32_t)encoder << 16);
         if (++c->edge_to == c->edge_room) {
             c->edge_to = 0;
             c->edge_wrapped = 1;
@@ -405,6 +406,7 @@ static void find_edges(struct hbp *h, uint32_t last_tick, uint64_t span, uint32_
     uint32_t ring = EDGE_BYTES * c->edge_room, held = c->edge_wrapped ? c->edge_room : c->edge_to, n = 0;
     uint32_t at = EDGE_BYTES * c->edge_to, end = c->edge_end, tick, later_tick = last_tick;
     uint64_t age = 0;
+    int lost = c->edge_room ? c->edge_wrapped : c->before_last != NO_CODE;
     for (; held; held--) {
         uint32_t before = at ? at - EDGE_BYTES : ring - EDGE_BYTES;
         tick = hbp_get32(h->config->capture + before);
@@ -421,7 +423,10 @@ static void find_edges(struct hbp *h, uint32_t last_tick, uint64_t span, uint32_
     c->edge_start = at;
     c->told[EDGES] = n;
     c->told[FIRST_EDGE] = n ? end - n : 0;
-    if (!held && (int32_t)(end - n - begun) > 0) c->told[EDGES_LOST] = end - n - begun;
+    if (held) return;
+    /* Those before are lost, back to the first record: it is only known how many came since the ring of records began anew. */
+    if ((int32_t)(end - n - begun) > 0) c->told[EDGES_LOST] = end - n - begun;
+    else if (lost && age + (later_tick - c->lost_tick) <= span) c->told[EDGES_LOST] = 1;
 }
 
 /* Where blob 1 is in the rings. */

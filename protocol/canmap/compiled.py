@@ -33,6 +33,7 @@ class CompiledCan:
 
     def receive(self, frames: bytes) -> None:
         """Take CAN_RECORDs from the bus, those of others too."""
+        self.session.look()
         for record in np.frombuffer(frames, CAN_RECORD):
             number = int(record["id"])
             if number & (ERROR | REMOTE):  # no data frame of anybody's
@@ -43,6 +44,7 @@ class CompiledCan:
 
     def advance(self, tick: int) -> None:
         """Let time pass up to the device's 64-bit `tick`."""
+        self.session.look()
         self._tick = tick
         self._lib.hbp_can_poll(self._at, tick)
         self.session.check()

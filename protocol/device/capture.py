@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from protocol.descriptor import sample_dtype
 from protocol.device.app import Identity
-from protocol.device.records import check_channels, rows_of, runs_of
+from protocol.device.records import Samples, check_channels, made
 from protocol.device.ring import EDGE_BYTES, Blob, Ring, Size
 from protocol.device.triggers import BY_CHANNEL, BY_EDGE, ChannelTrigger, EdgeTrigger
 from protocol.errors import Refused
@@ -167,18 +167,17 @@ class Capture:
         self._edges = number + len(records)
         if not self._ring or not len(records):
             return
-        ticks = tick + (records["tick"] - np.uint32(tick & 0xFFFFFFFF)).view(np.int32).astype(np.int64)
-        self._ring.push_edges(ticks, records)
+        self._ring.push_edges(records, tick)
         if self._by_edge and self.state is CaptureState.ARMED:
+            ticks = tick + (records["tick"] - np.uint32(tick & 0xFFFFFFFF)).view(np.int32).astype(np.int64)
             found = self._by_edge.find(ticks, records["codes"])
             if found is not None:
                 self._triggered(self._ring.period_from(found))
 
-    def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
+    def push_samples(self, index0: int, tick0: int, samples: Samples) -> None:
         """Take samples of consecutive periods: see `DeviceSession.push_samples`."""
-        if not self._ring or not len(raw):
+        if not self._ring or not len(samples):
             return
-        rows = rows_of(raw, self._dtype)
         if not self._ring.continues(index0):
             if not self._ring.restart():
                 self._freeze(self._ring)
@@ -186,10 +185,10 @@ class Capture:
             if self._by_channel:
                 self._by_channel.forget()
         if self._by_channel and self.state is CaptureState.ARMED:
-            found = self._by_channel.find(raw)
+            found = self._by_channel.find(made(samples, self._watched))
             if found is not None:
                 self._triggered(index0 + found)
-        self._ring.push(index0, tick0, rows)
+        self._ring.push(index0, tick0, samples)
         if self._ring.complete:
             self._freeze(self._ring)
 
@@ -208,15 +207,16 @@ class Capture:
         identity, trigger = self._identity, request.trigger
         self.number = self._armed = self._armed % 0xFFFF + 1
         self.state, self.trigger = CaptureState.ARMED, trigger
-        names = [self._by_id[number].name for number in request.channels]
+        channels = [self._by_id[number] for number in request.channels]
         size = Size(request.before, request.after, request.edges, request.decimation)
         period = identity.tick_hz // identity.pwm_hz
-        self._ring = Ring(size, runs_of(self._dtype, names), period, identity.tick0, self._edges)
-        self.channels = frozenset(names)
+        self._ring = Ring(size, self._dtype, channels, period, identity.tick0, self._edges)
+        self.channels = frozenset(channel.name for channel in channels)
         if trigger in BY_CHANNEL:
             watched = self._by_id[request.channel]
             self._by_channel = ChannelTrigger(trigger, watched, request.level)
-            self.channels |= {watched.name}
+            self._watched = frozenset((watched.name,))
+            self.channels |= self._watched
         elif trigger in BY_EDGE:
             self._by_edge = EdgeTrigger(trigger, request.level * identity.tick_hz)
         elif trigger is CaptureTrigger.NOW:

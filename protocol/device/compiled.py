@@ -26,19 +26,22 @@ from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
 from protocol.descriptor import sample_dtype
-from protocol.device.app import DeviceApp, Identity
+from protocol.device.app import DeviceApp, Extras, Identity
+from protocol.device.blobs import meanings_blob
+from protocol.device.records import LateSamples, Samples, made, rows_of
 from protocol.errors import Refused
 from protocol.messages import DriveState, Fault, Feature, SetpointMode
+from protocol.streams import EDGE_RECORD
 
 SOURCE = Path(__file__).parents[1] / "c"
-FILES = ("hbp.c", "hbp_can.c", "host/shim.c")
+FILES = ("hbp.c", "hbp_capture.c", "hbp_can.c", "host/shim.c")
 FLAGS = "-std=c99 -O2 -fPIC -shared"
 OPTIONS = """
     HBP_RX_MAX=1024 HBP_TX_MAX=1024 HBP_TX_BYTES=8192 HBP_CHANNELS=256 HBP_POOLS=4 HBP_EDGES=16384 HBP_HOSTS=16
-    HBP_CRC_TABLE=256 HBP_CAN_BYTES=64 HBP_CAN_MESSAGES=1024 HBP_CAN_TRANSFERS=34
+    HBP_CRC_TABLE=256 HBP_CAPTURE_PART=1048576 HBP_CAN_BYTES=64 HBP_CAN_MESSAGES=1024 HBP_CAN_TRANSFERS=34
 """
 MIN_POOL = 1 << 12  # bytes
-FEATURES = Feature.EDGES | Feature.COMMIT | Feature.SIMULATED
+FEATURES = ~Feature.MEANS
 """What the device side in C has: no other is told."""
 
 
@@ -150,6 +153,7 @@ class CompiledSession:
         self._lib = lib
         self._dtype = sample_dtype(app.channels)
         self._memory = ctypes.create_string_buffer(lib.shim_device_bytes())
+        self._edges: list[NDArray[np.void]] = []  # that come before samples which have not been pushed yet
         self.at = ctypes.addressof(self._memory)
         self.config = ctypes.byref(self._make_config())
         """A pointer to the app as C sees it, for `hbp_add`."""
@@ -166,15 +170,15 @@ class CompiledSession:
 
     @property
     def channels(self) -> frozenset[str]:
-        """Names of the channels that streams are configured with."""
+        """See `DeviceSession.channels`."""
         used = np.zeros(len(self.app.channels), np.uint8)
         self._lib.shim_channels(self.at, used.ctypes.data)
         return frozenset(channel.name for channel, taken in zip(self.app.channels, used, strict=True) if taken)
 
     @property
     def sampling(self) -> bool:
-        """Whether samples are wanted."""
-        return bool(self.running)
+        """Whether a stream runs, or a capture takes samples."""
+        return bool(self.running) or bool(self._lib.shim_capturing(self.at))
 
     @property
     def dropped(self) -> int:
@@ -200,17 +204,26 @@ class CompiledSession:
         """What is left, 0xFFFF when the watchdog is not at work; `tick` must be that of the last look at the time."""
         return int(self._lib.shim_watchdog_ms(self.at))
 
-    def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
+    def push_samples(self, index0: int, tick0: int, samples: Samples) -> None:
         """See `DeviceSession.push_samples`; C makes the ticks itself."""
-        if raw.dtype != self._dtype:
-            raise TypeError(f"samples of {raw.dtype}, the channels make {self._dtype}")
-        rows = np.ascontiguousarray(raw)
-        self._lib.shim_ticks(self.at, index0, rows.ctypes.data, rows.itemsize, len(rows))
+        if isinstance(samples, LateSamples) and not self.sampling:
+            return
+        rows = rows_of(made(samples, self.channels), self._dtype)
+        edges = np.concatenate(self._edges) if self._edges else np.empty(0, EDGE_RECORD)
+        self._edges.clear()
+        data = rows.ctypes.data, self._dtype.itemsize, len(rows), edges.ctypes.data, len(edges)
+        self._lib.shim_ticks(self.at, index0, *data)
 
     def push_edges(self, records: NDArray[np.void]) -> None:
-        """See `DeviceSession.push_edges`."""
-        data = np.ascontiguousarray(records)
-        self._lib.shim_edges(self.at, data.ctypes.data, len(data))
+        """See `DeviceSession.push_edges`. C gets them among the samples that follow, or at the next look at the time."""
+        if len(records):
+            self._edges.append(records.copy())
+
+    def look(self) -> None:
+        """Before C looks at the time: give it edges that no sample has followed."""
+        if self._edges:
+            index0, none = self._lib.shim_periods(self.at), np.empty(0, self._dtype)
+            self.push_samples(index0, 0, none)
 
     def fault(self, bits: Fault) -> None:
         """Latch faults: outputs off, state FAULT."""
@@ -230,7 +243,7 @@ class CompiledSession:
     # -- the app as C sees it ---------------------------------------------------------------------------------------
 
     def _make_config(self) -> Any:
-        app, identity = self.app, self.identity
+        app, identity, extras = self.app, self.identity, Extras.of(self.app)
         offsets: dict[str, Any] = dict(self._dtype.fields or {})
         channels = [
             (s.id, s.raw, s.unit, s.flags, offsets[s.name][1], s.scale, s.offset, s.name.encode()) for s in app.channels
@@ -242,6 +255,19 @@ class CompiledSession:
         self._channels = (structure("hbp_channel") * max(1, len(channels)))(*channels)
         self._parameters = (structure("hbp_parameter") * max(1, len(parameters)))(*parameters)
         names = [parameter.name for parameter in app.parameters]
+        by_name = {channel.name: channel.id for channel in app.channels}
+        self._fault_channels = (ctypes.c_uint16 * len(extras.fault_channels))(*map(by_name.get, extras.fault_channels))
+        given: dict[str, Any] = {}
+        if identity.features & Feature.CAPTURE and identity.capture_bytes:
+            self._capture = ctypes.create_string_buffer(identity.capture_bytes)
+            given = {"capture": ctypes.addressof(self._capture), "capture_bytes": identity.capture_bytes}
+        if extras.fault_channels:
+            given["fault_channels"] = ctypes.addressof(self._fault_channels)
+        if identity.features & Feature.MEANINGS and extras.meanings:
+            given["meanings"] = meanings_blob(extras.meanings, {*by_name, *names})
+        if identity.features & Feature.WAVEFORM and extras.waveform is not None:
+            given["waveform"] = extras.waveform.ctypes.data
+            given["waveform_length"] = len(extras.waveform)
 
         def refusing(call: Callable[..., object]) -> Callable[..., int]:
             """`call` with the last argument, where to put a refusal's detail, taken off."""
@@ -279,10 +305,13 @@ class CompiledSession:
         config = structure("hbp_config")
         types = dict(config._fields_)
         told = {key: each.encode() if isinstance(each, str) else each for key, each in asdict(identity).items()}
+        del told["capture_bytes"]  # only where there is memory
         return config(
             sample_bytes=self._dtype.itemsize,
             channels=ctypes.addressof(self._channels), n_channels=len(channels),
             parameters=ctypes.addressof(self._parameters), n_parameters=len(parameters),
+            n_fault_channels=len(extras.fault_channels),
+            **given,
             **{name: told[name] for name in types if name in told},
             **{name: types[name](call) for name, call in calls.items()},
         )  # fmt: skip
@@ -312,11 +341,13 @@ class CompiledLink:
 
     def receive(self, data: bytes) -> None:
         """Take bytes from the link, cut anywhere."""
+        self._look()
         self._lib.hbp_rx(self._at, self._tick, data, len(data))
         self._check()
 
     def advance(self, tick: int) -> None:
         """Let time pass up to the 64-bit `tick` for every device."""
+        self._look()
         self._tick = tick
         self._lib.hbp_poll(self._at, tick)
         self._check()
@@ -340,6 +371,10 @@ class CompiledLink:
             self._lib.hbp_poll(self._at, self._tick)  # what waits in the pools moves up
         self._check()
         return b"".join(parts)
+
+    def _look(self) -> None:
+        for session in self.sessions.values():
+            session.look()
 
     def _check(self) -> None:
         for session in self.sessions.values():

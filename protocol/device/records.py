@@ -6,7 +6,7 @@ A row is a full sample of the device, in bytes. This module knows no frames and 
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -22,12 +22,50 @@ Run = slice
 Rows = NDArray[np.uint8]
 """Full samples of consecutive PWM periods, shape (n, bytes of a sample)."""
 
+
+class LateSamples:
+    """Samples of `n` periods that are made when somebody needs them.
+
+    `make(names)` returns samples of all channels, in which those of these names are right.
+    """
+
+    __slots__ = ("_made", "_make", "_n", "_names")
+
+    def __init__(self, n: int, make: Callable[[frozenset[str]], NDArray[np.void]]) -> None:
+        self._n = n
+        self._make = make
+        self._names: frozenset[str] | None = None
+        self._made: NDArray[np.void] | None = None
+
+    def __len__(self) -> int:
+        return self._n
+
+    def made(self, names: frozenset[str]) -> NDArray[np.void]:
+        """Return samples in which the channels of these names are right."""
+        if self._made is None or self._names is None or not names <= self._names:
+            self._names, self._made = names, self._make(names)
+        return self._made
+
+    def kept(self, names: frozenset[str]) -> Samples:
+        """Return what is best kept by somebody who may need these names later: themselves, once they are made."""
+        made = self._names is not None and names <= self._names and self._made is not None
+        return self._made if made else self  # type: ignore[return-value]
+
+
+Samples = NDArray[np.void] | LateSamples
+"""Samples of consecutive PWM periods, a field for each channel of a device; whoever gets them may keep them."""
+
 MEAN_BYTES = 4  # of a channel in a record of means: an f32
+
+
+def made(samples: Samples, names: frozenset[str]) -> NDArray[np.void]:
+    """Return samples in which the channels of these names are right."""
+    return samples.made(names) if isinstance(samples, LateSamples) else samples
 
 
 def rows_of(raw: NDArray[np.void], dtype: np.dtype[np.void]) -> Rows:
     """Return samples of all channels as rows; TypeError if they are not of the channels' `dtype`."""
-    if raw.dtype != dtype:
+    if raw.dtype is not dtype and raw.dtype != dtype:
         raise TypeError(f"samples of {raw.dtype}, the channels make {dtype}")
     return np.ascontiguousarray(raw).view(np.uint8).reshape(len(raw), -1)
 

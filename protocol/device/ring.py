@@ -1,22 +1,29 @@
 """Where a capture's records and Hall edges lie while it waits, and blob 1, which is made of them.
 
-Records have numbers: the index of their PWM period over the decimation. They are taken in slices of what is pushed,
-never one by one. This module knows no triggers and no messages.
+Records have numbers: the index of their PWM period over the decimation. What is pushed is kept as it came, and packed
+many periods at once, or, of the newest, not before the capture is complete: a capture that waits costs next to nothing.
+This module knows no triggers and no messages.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.device.records import Rows, Run
+from protocol.device.records import LateSamples, Rows, Samples, Values, made, rows_of
+from protocol.signals import Signal
 from protocol.streams import EDGE_RECORD
 
 EDGE_BYTES = EDGE_RECORD.itemsize
+AS_THEY_CAME = 8192  # periods that are kept as they were pushed
+LOOK = 1024  # periods after which it looks for what is too old
+MOST_EDGES = 1 << 16  # edges that are kept only to be counted
 
 
 class Size(NamedTuple):
@@ -43,31 +50,45 @@ class Blob:
     index: int
 
 
+class _Pushed(NamedTuple):
+    """Consecutive periods as they came."""
+
+    first: int  # index
+    samples: Samples
+
+
 class Ring:
     """The records and edges of one capture.
 
     Args:
         size: what it holds.
-        runs: bytes of its channels in a full sample.
+        dtype: of the device's samples.
+        channels: those of its records.
         period: ticks of a PWM period.
         tick0: tick of PWM period 0; what is pushed tells it anew.
         edges_seen: Hall edges since boot.
     """
 
-    def __init__(self, size: Size, runs: list[Run], period: int, tick0: int, edges_seen: int) -> None:
+    def __init__(
+        self, size: Size, dtype: np.dtype[np.void], channels: Sequence[Signal], period: int, tick0: int, edges_seen: int
+    ) -> None:
         self._size = size
-        self._runs = runs
-        self._capacity = size.before + size.after
-        self._rows = np.empty((self._capacity, sum(run.stop - run.start for run in runs)), np.uint8)
-        self._counts = np.zeros(self._capacity, np.int64)  # edges since boot before each record
+        self._dtype = dtype
+        self._channels = channels
+        self._names = frozenset(channel.name for channel in channels)
         self._period = period
         self._origin = tick0
-        self._begun = False
-        self._low = self._high = 0  # numbers of the first record that was taken, and of the one that comes next
-        self._next = 0  # index of the period that comes next
+        self._edges = _Edges(size.edges, edges_seen)
         self._at: int | None = None  # number of the trigger's record
-        self._edges: list[tuple[NDArray[np.int64], NDArray[np.void]]] = []  # whole ticks, and as they came
-        self._edges_before = edges_seen  # edges since boot before those
+        self._clear()
+
+    def _clear(self) -> None:
+        self._begun = False
+        self._pushed: deque[_Pushed] = deque()
+        self._periods = self._enough = 0  # in those, and with how many it looks for what is too old
+        self._packed: deque[tuple[int, Rows]] = deque()  # number of the first record, and records
+        self._oldest = self._high = 0  # numbers of the oldest record that is held, and of the one that comes next
+        self._next = 0  # index of the period that comes next
 
     @property
     def complete(self) -> bool:
@@ -82,7 +103,7 @@ class Ring:
         """Periods are missing, so that all begins anew; False if the trigger's record has been taken already."""
         if self._at is not None and self._high > self._at:
             return False
-        self._begun = False
+        self._clear()
         return True
 
     def trigger(self, index: int) -> None:
@@ -95,90 +116,123 @@ class Ring:
         """Return the index of the first period that is not before a tick."""
         return max(0, -((self._origin - tick) // self._period))
 
-    def push_edges(self, ticks: NDArray[np.int64], records: NDArray[np.void]) -> None:
-        """Take edges in order of time, EDGE_RECORDs, and their whole ticks."""
-        self._edges.append((ticks, records.copy()))
+    def push_edges(self, records: NDArray[np.void], tick: int) -> None:
+        """Take edges in order of time, EDGE_RECORDs; `tick` is near theirs."""
+        self._edges.push(records, tick)
 
-    def push(self, index0: int, tick0: int, rows: Rows) -> None:
-        """Take consecutive periods, in rows of the device's full samples."""
-        decimation = self._size.decimation
+    def push(self, index0: int, tick0: int, samples: Samples) -> None:
+        """Take consecutive periods."""
+        size = self._size
         self._origin = tick0 - index0 * self._period
-        self._next = index0 + len(rows)
         if not self._begun:
             self._begun = True
-            self._low = self._high = -(-index0 // decimation)
+            self._oldest = -(-index0 // size.decimation)
             if self._at is not None:
-                self._at = max(self._at, self._low)
-        end = -(-self._next // decimation)
-        if self._at is not None:
-            end = min(end, self._at + self._size.after)
-        for first, last in self._around(max(self._high, end - self._capacity), end):
-            place = self._place(first, last)
-            chosen = rows[first * decimation - index0 : (last - 1) * decimation - index0 + 1 : decimation]
-            at = 0
-            for run in self._runs:
-                width = run.stop - run.start
-                self._rows[place, at : at + width] = chosen[:, run]
-                at += width
-            self._counts[place] = (
-                self._edges_up_to(np.arange(first, last), "left") if self._edges else self._edges_before
-            )
-        self._high = max(self._high, end)
-        if self._edges:
-            self._forget_edges()
+                self._at = max(self._at, self._oldest)
+        if isinstance(samples, LateSamples):
+            samples = samples.kept(self._names)
+        self._pushed.append(_Pushed(index0, samples))
+        self._periods += len(samples)
+        self._next = index0 + len(samples)
+        self._high = -(-self._next // size.decimation)
+        self._oldest = max(self._oldest, (self._high - size.after if self._at is None else self._at) - size.before)
+        if self._periods > self._enough:
+            self._forget()
+            if self._periods > AS_THEY_CAME:
+                self._pack()
+            self._enough = self._periods + LOOK
 
     def freeze(self) -> Blob:
         """Make blob 1 of what there is around the trigger's record."""
         assert self._at is not None
-        size = self._size
+        size, begin = self._size, self._oldest
         begin, end = max(self._oldest, self._at - size.before), min(self._high, self._at + size.after)
-        parts = [self._rows[self._place(*part)].tobytes() for part in self._around(begin, end)]
-        before = int(self._counts[begin % self._capacity])
-        upto = int(self._edges_up_to(np.array([end - 1]), "right")[0])
-        kept = max(0, min(size.edges, upto - max(before, self._edges_before)))
-        first_edge = upto - kept if kept else 0
-        if kept:
-            records = np.concatenate([each for _, each in self._edges])
-            parts.append(records[first_edge - self._edges_before :][:kept].tobytes())
-        data, index = b"".join(parts), self._at * size.decimation
+        self._pack()
+        parts = [rows[max(0, begin - first) : end - first].tobytes() for first, rows in self._packed if first < end]
+        edges, first_edge, lost = self._edges.between(self._tick_of(begin), self._tick_of(end - 1))
+        data = b"".join([*parts, edges])
         return Blob(
             data=data,
             crc=crc32(data),
             first=self._at - begin,
             records=end - begin,
-            edges=kept,
-            edges_lost=upto - before - kept,
+            edges=len(edges) // EDGE_BYTES,
+            edges_lost=lost,
             first_edge=first_edge,
-            tick=self._origin + index * self._period,
-            index=index,
+            tick=self._tick_of(self._at),
+            index=self._at * size.decimation,
         )
 
-    @property
-    def _oldest(self) -> int:
-        """Number of the oldest record that is still there."""
-        return max(self._low, self._high - self._capacity)
+    def _tick_of(self, record: int) -> int:
+        return self._origin + record * self._size.decimation * self._period
 
-    def _place(self, first: int, last: int) -> slice:
-        """Where records lie, in one piece: see `_around`."""
-        return slice(first % self._capacity, first % self._capacity + last - first)
+    def _forget(self) -> None:
+        """Give up what is older than the oldest record."""
+        oldest = self._oldest * self._size.decimation
+        while self._pushed and self._pushed[0].first + len(self._pushed[0].samples) <= oldest:
+            self._periods -= len(self._pushed.popleft().samples)
+        while self._packed and self._packed[0][0] + len(self._packed[0][1]) <= self._oldest:
+            self._packed.popleft()
+        self._edges.forget(self._tick_of(self._oldest))
 
-    def _around(self, begin: int, end: int) -> list[tuple[int, int]]:
-        """Return the parts of the numbers from `begin` up to `end` that lie in one piece."""
-        turn = begin - begin % self._capacity + self._capacity
-        return [(a, b) for a, b in ((begin, min(end, turn)), (turn, end)) if a < b]
+    def _pack(self) -> None:
+        """Make records of the periods that are there as they came."""
+        if not self._pushed:
+            return
+        values = Values(self._dtype, self._channels, self._size.decimation)
+        taken = [
+            values.take(index, rows_of(made(samples, self._names), self._dtype)) for index, samples in self._pushed
+        ]
+        rows = np.concatenate([each for _, each in taken])
+        if len(rows):
+            self._packed.append((taken[0][0] // self._size.decimation, rows))
+        self._pushed.clear()
+        self._periods = 0
 
-    def _edges_up_to(self, records: NDArray[np.int64], side: Literal["left", "right"]) -> NDArray[np.int64]:
-        """Return how many edges since boot came before (`left`) or up to (`right`) each record."""
-        ticks = self._origin + records * (self._size.decimation * self._period)
-        known = [each for each, _ in self._edges]
-        found = np.searchsorted(np.concatenate(known), ticks, side) if known else np.zeros(len(records), np.int64)
-        return self._edges_before + found
 
-    def _forget_edges(self) -> None:
-        """Give up edges that no capture can have: the newest up to the last record are enough."""
-        last = self._origin + (self._high - 1) * self._size.decimation * self._period
-        old = sum(int(np.searchsorted(ticks, last, "right")) for ticks, _ in self._edges)
-        while self._edges and old - len(self._edges[0][0]) >= self._size.edges:
-            gone = len(self._edges.pop(0)[0])
-            old -= gone
-            self._edges_before += gone
+class _Edges:
+    """Hall edges that a capture may need: those of its time, the newest of which have `room`."""
+
+    def __init__(self, room: int, seen: int) -> None:
+        self._room = room
+        self._before = seen  # edges since boot before those that are held
+        self._held: deque[tuple[int, int, NDArray[np.void]]] = deque()  # tick of the last, one near them, edges
+        self._n = 0
+        self._crowded_out = (-1, 0)  # tick of the last that was given up for lack of room, and how many were
+
+    def push(self, records: NDArray[np.void], tick: int) -> None:
+        """Take edges in order of time; `tick` is near theirs."""
+        self._held.append((tick + _signed(int(records["tick"][-1]) - tick), tick, records))
+        self._n += len(records)
+        while self._n > self._room + MOST_EDGES and len(self._held) > 1:
+            self._crowded_out = self._held[0][0], self._crowded_out[1] + self._drop()
+
+    def forget(self, tick: int) -> None:
+        """Give up edges before a tick."""
+        while self._held and self._held[0][0] < tick:
+            self._drop()
+
+    def _drop(self) -> int:
+        gone = len(self._held.popleft()[2])
+        self._n -= gone
+        self._before += gone
+        return gone
+
+    def between(self, first: int, last: int) -> tuple[bytes, int, int]:
+        """Return the edges from one tick to another that have room, the first one's number, and how many have none."""
+        last_lost, lost = self._crowded_out
+        lost = lost if last_lost >= first else 0
+        if not self._held:
+            return b"", 0, lost
+        records = np.concatenate([each for _, _, each in self._held])
+        near = np.repeat([tick for _, tick, _ in self._held], [len(each) for _, _, each in self._held])
+        ticks = near + (records["tick"] - near.astype(np.uint32)).view(np.int32)
+        begin, end = np.searchsorted(ticks, first, "left"), np.searchsorted(ticks, last, "right")
+        kept = min(self._room, int(end - begin))
+        number = self._before + int(end) - kept if kept else 0
+        return records[end - kept : end].tobytes(), number, lost + int(end - begin) - kept
+
+
+def _signed(value: int) -> int:
+    """Return the low 32 bits of a number as one with a sign."""
+    return (value + (1 << 31) & 0xFFFFFFFF) - (1 << 31)

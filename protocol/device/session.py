@@ -22,6 +22,7 @@ from protocol.device.blobs import CONTROL, Blobs, meanings_blob
 from protocol.device.capture import Capture
 from protocol.device.carrier import ByteCarrier, Carrier
 from protocol.device.parameters import ParameterTable
+from protocol.device.records import Samples
 from protocol.device.state import StateMachine
 from protocol.device.streams import StreamTable
 from protocol.device.tx import TxQueue
@@ -115,6 +116,7 @@ class DeviceSession:
         self._setpoint_counter = 0
         self._last_tid = 0
         self._running = False
+        self._in_use: tuple[frozenset[str], ...] = (frozenset(),) * 3  # of streams, of the capture, of both
         self._peers: defaultdict[int, _Peer] = defaultdict(lambda: _Peer(identity.tx_max))
         self._peer = self._peers[0]
         self._handlers: dict[type[Request], Callable[[Any], Payload | None]] = {
@@ -145,12 +147,10 @@ class DeviceSession:
     @property
     def channels(self) -> frozenset[str]:
         """Names of the channels that are in use: those that streams are configured with, and those of the capture."""
-        return self.streams.channels | self.capture.channels if self.capture else self.streams.channels
-
-    @property
-    def sampling(self) -> bool:
-        """Whether samples are wanted: a stream runs, or a capture takes them."""
-        return bool(self.streams.running) or (self.capture is not None and self.capture.waiting)
+        streams, capture = self.streams.channels, self.capture.channels if self.capture else frozenset()
+        if self._in_use[0] is not streams or self._in_use[1] is not capture:
+            self._in_use = streams, capture, streams | capture
+        return self._in_use[2]
 
     def advance(self, tick: int) -> None:
         """Let time pass up to the device's 64-bit `tick`: watchdog, lapse, late stream blocks, heartbeat."""
@@ -166,15 +166,15 @@ class DeviceSession:
             frame = Frame(MessageType.HEARTBEAT, MAJOR, 0, self.identity.node, self.heartbeat().pack())
             self.tx.put_latest(self.identity.node, self._encode(frame))
 
-    def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
-        """Take n samples of consecutive PWM periods, one field per channel of the app, in its order.
+    def push_samples(self, index0: int, tick0: int, samples: Samples) -> None:
+        """Take n samples of consecutive PWM periods, one field per channel of the app, in its order; they are kept.
 
         `index0`, `tick0`: PWM-period count and tick of the first. All edges up to the last sample's tick
         must have been pushed before.
         """
+        self.streams.push_samples(index0, tick0, samples)
         if self.capture:
-            self.capture.push_samples(index0, tick0, raw)
-        self.streams.push_samples(index0, tick0, raw)
+            self.capture.push_samples(index0, tick0, samples)
 
     def push_edges(self, records: NDArray[np.void]) -> None:
         """Take Hall edges in order of time, as `protocol.streams.EDGE_RECORD`."""

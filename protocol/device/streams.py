@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from protocol.descriptor import sample_dtype
 from protocol.device.app import Identity
 from protocol.device.carrier import Carrier, EdgeStream, SampleStream, Shape
-from protocol.device.records import Means, Records, Values, check_channels, rows_of
+from protocol.device.records import Means, Records, Samples, Values, check_channels, made, rows_of
 from protocol.errors import Refused
 from protocol.messages import ErrorCode, Feature, StreamEvent, StreamInfo, StreamReply, StreamSet
 from protocol.signals import Signal
@@ -116,12 +116,12 @@ class StreamTable:
             self._forget(number)
             self._carrier.close(number)
 
-    def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
+    def push_samples(self, index0: int, tick0: int, samples: Samples) -> None:
         """Take samples of all channels: see `DeviceSession.push_samples`."""
         streams = [each for each in self._streams.values() if isinstance(each, SampleStream) and each.running]
-        if not streams or not len(raw):
+        if not streams or not len(samples):
             return
-        rows = rows_of(raw, self._dtype)
+        rows = rows_of(made(samples, self.channels), self._dtype)
         if any(stream.fills_block(index0, len(rows)) for stream in streams):
             self._flush_edges()
         for stream in streams:

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol import __version__
+from protocol.device.records import LateSamples
 from protocol.device.session import DeviceLink, Identity
 from protocol.device.tx import TxQueue
 from protocol.messages import DriveState, Fault, Feature, Role
@@ -115,19 +115,17 @@ class SimulatedDevice:
             left = self._watchdogs()
             # the outputs go off on time however long the portions
             n = min(periods, self._portion, math.ceil((min(left) + 1) * self.pwm_hz / 1000))
-            watched = self.drive.channels
-            self.bench.watch(watched)
+            self.bench.watch(self.drive.channels)
             recorded = self.bench.advance(n)
             self.periods += n
             periods -= n
             self.network.carry(self.periods / self.pwm_hz)
             if self.load.streams.running:
                 self.load.push_samples(recorded.index, recorded.tick, recorded.load_samples)
-            raw = recorded.raw(self._channels, watched) if self.drive.sampling else None
             tripped = self._tripped(recorded)
             for begin, end in ((0, tripped), (tripped, n)):
                 if begin < end:
-                    self._push(recorded, raw, begin, end)
+                    self._push(recorded, begin, end)
             if self._notice:
                 self._report(left, n, self._notice)
 
@@ -142,7 +140,7 @@ class SimulatedDevice:
         states = recorded["status"].view(np.int64) & STATUS_STATE_MASK
         return int(np.argmax(states == DriveState.FAULT)) + 1
 
-    def _push(self, recorded: Recorded, raw: NDArray[np.void] | None, begin: int, end: int) -> None:
+    def _push(self, recorded: Recorded, begin: int, end: int) -> None:
         """Give the drive's session the periods from `begin` up to `end`, then let both sessions look at the time."""
         tick = recorded.tick + begin * self._period_ticks
         last = recorded.tick + (end - 1) * self._period_ticks
@@ -150,8 +148,8 @@ class SimulatedDevice:
         if end - begin < len(recorded):
             edges = edges[slice(*np.searchsorted(recorded.edge_tick, [tick - self._period_ticks, last], "right"))]
         self.drive.push_edges(edges)
-        if raw is not None:
-            self.drive.push_samples(recorded.index + begin, tick, raw[begin:end])
+        samples = LateSamples(end - begin, lambda names: recorded.raw(self._channels, names)[begin:end])
+        self.drive.push_samples(recorded.index + begin, tick, samples)
         self.network.advance(last)
         if self.bench.faults:
             self.drive.fault(self.bench.faults)  # does nothing with those that are latched already

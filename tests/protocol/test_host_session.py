@@ -238,7 +238,7 @@ def test_a_descriptor_that_cannot_be_is_refused_at_once(host: HostSession, total
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"major": 2}, "the device speaks HBP 2.0, this host 1"),
+        ({"major": 2}, "the device speaks HBP 2.1, this host 1"),
         ({"node": 0}, "node is 0"),
         ({"node": 2}, "node is 2, must be the frame's"),
         ({"rx_max": 127}, "rx_max is 127, must be at least 128"),

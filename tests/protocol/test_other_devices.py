@@ -105,6 +105,6 @@ def test_a_device_of_another_major_says_so_at_once() -> None:
         return frame._replace(payload=replace(HelloReply.unpack(frame.payload), major=2).pack())
 
     link = LyingLink(lie)
-    with pytest.raises(VersionError, match=r"the device speaks HBP 2.0, this host 1"):
+    with pytest.raises(VersionError, match=r"the device speaks HBP 2.1, this host 1"):
         Client(link).connect()
     assert link.clock() < 0.2

@@ -11,6 +11,9 @@
 #include <string.h>
 
 #define MOTOR_PERIOD (MOTOR_TICK_HZ / MOTOR_PWM_HZ)
+#ifndef MOTOR_CAPTURE
+#define MOTOR_CAPTURE 32768 /* bytes of memory for captures */
+#endif
 #define PI 3.14159265f
 #define SPEED_SCALE 0.125f  /* electrical rad/s a count */
 #define PER_AMPERE 300.0f   /* rad/s^2, mechanical */
@@ -62,6 +65,14 @@ static const struct hbp_parameter motor_parameters[] = {
     {106, HBP_UNIT_NONE, HBP_FLAG_IDLE_ONLY | HBP_FLAG_WHOLE, 0.0f, 7.0f, 0.0f, &motor.hall_invert, "hall_invert_hat"},
 };
 
+static const char motor_meanings[] =
+    "theta_enc electrical angle of the shaft, from its encoder\n"
+    "theta_avg electrical angle from the Hall edges and the mean speed between the last two\n"
+    "i_q current that turns the shaft\n"
+    "i_max largest current\n";
+
+static uint8_t motor_memory[MOTOR_CAPTURE]; /* the last periods before a fault, or what a host asks for */
+
 static uint16_t motor_enter(void *user, uint8_t state, float *detail)
 {
     (void)user, (void)detail;
@@ -97,6 +108,7 @@ static const struct hbp_config motor_config = {
     .sample_bytes = sizeof(struct sample), .channels = motor_channels, .n_channels = sizeof motor_channels / sizeof motor_channels[0],
     .parameters = motor_parameters, .n_parameters = sizeof motor_parameters / sizeof motor_parameters[0],
     .enter = motor_enter, .setpoint = motor_setpoint, .outputs_on = motor_outputs_on,
+    .capture = motor_memory, .capture_bytes = sizeof motor_memory, .meanings = motor_meanings,
 };
 
 static const uint8_t motor_pins[6] = {1, 3, 2, 6, 4, 5}; /* what the inputs read, by sector */

@@ -1,6 +1,6 @@
 /* posix.c: a whole drive on a pseudo-terminal, as a firmware would be, for Linux and macOS. Its motor is that of motor.h. In protocol/c:
  *
- *     cc -std=c99 -O2 -DHBP_TX_BYTES=16384 -DHBP_POOL_BYTES=32768 -o drive examples/posix.c hbp.c && ./drive
+ *     cc -std=c99 -O2 -DHBP_TX_BYTES=16384 -DHBP_POOL_BYTES=32768 -o drive examples/posix.c hbp.c hbp_capture.c && ./drive
  *
  * It prints a target such as serial:/dev/pts/3. Then, from another terminal: bench info TARGET, bench live TARGET --speed 100,
  * bench hall check TARGET. The queues are larger than a microcontroller's, since other programs may keep this one waiting.

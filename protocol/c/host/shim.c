@@ -21,19 +21,26 @@ uint32_t shim_can_add(struct hbp_can *can, struct hbp *device, const struct hbp_
     return hbp_can_add(can, device, config, boot_id);
 }
 
-/* `n` samples from PWM period `index` on, `stride` bytes from one to the next. While no stream runs, periods may be left out. */
-void shim_ticks(struct hbp *h, uint64_t index, const uint8_t *samples, size_t stride, size_t n)
+/* An edge as a record of EDGES. */
+static void give_edge(struct hbp *h, const uint8_t *r)
 {
-    h->index = index;
-    for (size_t k = 0; k < n; k++) hbp_tick(h, samples + k * stride);
+    hbp_edge(h, hbp_get32(r), r[4] & 7u, r[4] >> 3 & 7u, (uint16_t)(r[6] | r[7] << 8));
 }
 
-/* `n` edges as records of EDGES. */
-void shim_edges(struct hbp *h, const uint8_t *records, size_t n)
+/* `n` samples from PWM period `index` on, `stride` bytes from one to the next, and edges, records of EDGES, each before the first sample
+ * that does not come before it. While no stream runs and no capture waits, periods may be left out. */
+void shim_ticks(struct hbp *h, uint64_t index, const uint8_t *samples, size_t stride, size_t n, const uint8_t *edges, size_t n_edges)
 {
-    for (const uint8_t *r = records; n--; r += 8)
-        hbp_edge(h, hbp_get32(r), r[4] & 7u, r[4] >> 3 & 7u, (uint16_t)(r[6] | r[7] << 8));
+    h->index = index;
+    for (size_t k = 0; k < n; k++) {
+        uint32_t tick = (uint32_t)h->config->tick0 + (uint32_t)h->index * h->period;
+        for (; n_edges && (int32_t)(hbp_get32(edges) - tick) <= 0; n_edges--, edges += 8) give_edge(h, edges);
+        hbp_tick(h, samples + k * stride);
+    }
+    for (; n_edges; n_edges--, edges += 8) give_edge(h, edges);
 }
+
+uint64_t shim_periods(const struct hbp *h) { return h->index; }
 
 /* Bits of the streams that run. */
 uint32_t shim_running(const struct hbp *h)
@@ -43,13 +50,24 @@ uint32_t shim_running(const struct hbp *h)
     return mask;
 }
 
-/* 1 at the position of each channel that a stream is configured with. */
+/* 1 while a capture takes samples. */
+int shim_capturing(const struct hbp *h)
+{
+    return h->capture && h->capture->running;
+}
+
+/* 1 at the position of each channel that a stream is configured with, or that a capture needs. */
 void shim_channels(const struct hbp *h, uint8_t *used)
 {
     for (unsigned k = 0; k < HBP_STREAMS; k++) {
         const struct hbp_stream *s = &h->streams[k];
         for (unsigned i = 0; s->configured && i < s->channels; i++) used[s->take[i]] = 1;
     }
+    if (!shim_capturing(h)) return;
+    for (unsigned i = 0; i < h->capture->channels; i++) used[h->capture->take[i]] = 1;
+    if (h->capture->trigger < HBP_TRIGGER_ABOVE || h->capture->trigger > HBP_TRIGGER_CHANGES) return;
+    for (unsigned i = 0; i < h->config->n_channels; i++)
+        if (h->config->channels[i].at == h->capture->at) used[i] = 1;
 }
 
 uint32_t shim_dropped(const struct hbp *h) { return hbp_dropped(h); }

@@ -10,6 +10,7 @@ from tests.tools import require
 ROOT = Path(__file__).resolve().parents[3]
 SOURCE = ROOT / "protocol" / "c"
 HERE = Path(__file__).parent
+FILES = ("hbp.c", "hbp_capture.c", "hbp_can.c")
 STRICT = (
     "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wcast-align", "-Wshadow", "-Werror",
 )  # fmt: skip
@@ -49,6 +50,6 @@ def run(*command: str | Path, text: str | None = None) -> str:
 
 def build(to: Path, name: str, main: str, *flags: str, can: bool = True) -> Path:
     """A program of `main` in this folder and the device side, by the compiler `name`."""
-    files = [HERE / main, SOURCE / "hbp.c", *([SOURCE / "hbp_can.c"] if can else [])]
+    files = [HERE / main, *(SOURCE / file for file in FILES if can or file != "hbp_can.c")]
     run(compiler(name, *flags), "-std=c99", *flags, *files, "-o", to)
     return to

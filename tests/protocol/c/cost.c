@@ -14,6 +14,7 @@
 static struct hbp_link link;
 static struct hbp_can can;
 static struct hbp drive;
+static struct hbp_config bare; /* without memory for captures */
 static const struct hbp_can_bus bus = {.bitrate = 1000000};
 static uint64_t now;
 static uint32_t calls, total, most, empty;
@@ -137,11 +138,49 @@ static void measure_ticks(const char *name)
     report(name);
 }
 
-static void byte_link(void)
+/* The interrupts while a capture waits, and the main loop when it is complete. */
+static void capture(void)
 {
+    static const uint8_t status[1] = {0}, off[22] = {0};
+    static const uint8_t channels[16] = {1, 0, 2, 0, 3, 0, 4, 0, 12, 0, 15, 0, 16, 0, 17, 0};
+    uint8_t arm[38] = {HBP_TRIGGER_ABOVE, 0, 1, 0, 200, 0, 0, 0, 64, 0, 0, 0, 0, 0, 0x80, 0x44, 12, 0, 50, 0, 8, 0}; /* above 1024 A */
     struct sample sample = {0};
     hbp_link_init(&link, 1e6f);
     if (hbp_add(&link, &drive, &motor_config, 1)) return;
+    hbp_tick(&drive, &sample);
+    for (unsigned k = 0; k < 3000; k++) COUNT(hbp_tick(&drive, &sample));
+    report("hbp_tick, a capture of 8 channels that waits for a fault");
+    memcpy(arm + 22, channels, sizeof channels);
+    arm[2] = arm[3] = 0xFF; /* a record in so many periods, for now */
+    measure("hbp_rx: CAPTURE_ARM of 8 channels and its reply", HBP_TYPE_CAPTURE_ARM, arm, sizeof arm);
+    COUNT(hbp_tick(&drive, &sample));
+    report("hbp_tick, the first one of a capture");
+    for (unsigned k = 0; k < 200; k++) COUNT(hbp_tick(&drive, &sample));
+    report("hbp_tick, a capture that waits for a channel, without a record");
+    for (unsigned k = 0; k < 200; k++) COUNT(hbp_edge(&drive, 1000u * k, 1, 3, 0));
+    report("hbp_edge, a capture waits");
+    arm[2] = 1, arm[3] = 0;
+    measure(NULL, HBP_TYPE_CAPTURE_ARM, arm, sizeof arm);
+    hbp_tick(&drive, &sample);
+    for (unsigned k = 0; k < 1000; k++) COUNT(hbp_tick(&drive, &sample));
+    report("hbp_tick, a capture of 8 channels that waits for a channel");
+    arm[0] = HBP_TRIGGER_NOW;
+    measure(NULL, HBP_TYPE_CAPTURE_ARM, arm, sizeof arm);
+    for (unsigned k = 0; k < 100; k++) COUNT(hbp_tick(&drive, &sample));
+    report("hbp_tick, while the trigger comes and the capture ends");
+    COUNT(hbp_poll(&link, now));
+    report("hbp_poll, the capture has ended");
+    measure("hbp_rx: CAPTURE_STATUS and its reply", HBP_TYPE_CAPTURE_STATUS, status, 0);
+    measure(NULL, HBP_TYPE_CAPTURE_ARM, off, sizeof off);
+}
+
+static void byte_link(void)
+{
+    struct sample sample = {0};
+    bare = motor_config;
+    bare.capture = NULL;
+    hbp_link_init(&link, 1e6f);
+    if (hbp_add(&link, &drive, &bare, 1)) return;
     for (unsigned k = 0; k < 100; k++) COUNT(hbp_tick(&drive, &sample));
     report("hbp_tick, no stream");
     hbp_poll(&link, now);
@@ -215,7 +254,7 @@ static void can_link(void)
 {
     static const uint8_t two[12] = {0, 0, 4, 0, 100, 0, 2, 0, 3, 0, 4, 0}, setpoint[12] = {1};
     struct sample sample = {0};
-    if (hbp_can_init(&can, &bus) || hbp_can_add(&can, &drive, &motor_config, 1)) return;
+    if (hbp_can_init(&can, &bus) || hbp_can_add(&can, &drive, &bare, 1)) return;
     hbp_can_poll(&can, now);
     drain();
     for (unsigned k = 0; k < 8; k++) can_request(0x111, HBP_TYPE_SETPOINT, setpoint, sizeof setpoint);
@@ -246,6 +285,7 @@ int main(void)
     calls = total = most = 0;
     byte_link();
     can_link();
+    capture();
     host(0x20, end);
     host(0x18, (const void *)0x20026u);
     return 0;

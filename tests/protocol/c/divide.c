@@ -17,7 +17,7 @@ int main(void)
         uint16_t decimation = (uint16_t)((uint16_t)draw() | (k & 1u ? 1u : 0x8000u));
         config.tick_hz = (uint32_t)draw();
         if (quotient != (uint32_t)(n / d) || rest != n % d) return 1;
-        if (n < 1ull << 63 && rounded_up(n, decimation) != (uint32_t)((n + decimation - 1) / decimation)) return 2;
+        if (n < 1ull << 63 && hbp_rounded_up(n, decimation) != (uint32_t)((n + decimation - 1) / decimation)) return 2;
         if (ticks_of(&h, ms) != (uint32_t)((uint64_t)ms * config.tick_hz / 1000u)) return 3;
     }
     return 0;

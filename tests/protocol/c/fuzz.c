@@ -26,6 +26,8 @@ struct asked {
 
 static struct node {
     struct hbp *device;
+    uint8_t *memory; /* for captures, as large as it is told to be */
+    int16_t *waveform;
     struct app app;
     struct hbp_parameter parameters[4];
     struct hbp_config config;
@@ -41,7 +43,7 @@ static uint64_t period, now;
 static int slow;                      /* the link takes less than there is: what is not sent may be lost */
 static struct asked queue[64];        /* what must be answered, in this order */
 static uint32_t queue_head, queue_tail;
-static unsigned long n_frames, n_replies, n_samples, n_edges, n_damaged, n_running;
+static unsigned long n_captures, n_frames, n_replies, n_samples, n_edges, n_damaged, n_running;
 
 /* ---- what must hold at any time ------------------------------------------------------------------------------------------- */
 
@@ -163,6 +165,46 @@ static void check_heartbeat(struct node *node, const uint8_t *payload, size_t n)
     node->dropped = get(payload + 20, 4);
 }
 
+/* What a frozen capture must hold, by what its status says: the values of its records, edges in order, and the CRC of all. */
+static void check_capture(const struct node *node, const uint8_t *reply, size_t n)
+{
+    static uint8_t blob[1u << 13];
+    uint32_t size = get(reply + 36, 4), records = get(reply + 20, 4), edges = get(reply + 24, 4), step = get(reply + 4, 2), bytes = 0;
+    uint32_t ids = get(reply + 64, 2), index = get(reply + 56, 4) - get(reply + 16, 4) * step, last = index + (records - 1u) * step;
+    const uint8_t *at = blob;
+    REQUIRE(n == 66u + 2u * ids && reply[0] <= HBP_CAPTURE_FROZEN && reply[1] <= HBP_TRIGGER_PULSE && get(reply + 2, 2));
+    REQUIRE(get(reply + 8, 4) + get(reply + 12, 4) >= 1u && step && get(reply + 44, 4) == node->config.capture_bytes);
+    if (reply[0] != HBP_CAPTURE_FROZEN) {
+        REQUIRE(!size && !records && !edges);
+        return;
+    }
+    if (get(reply + 2, 2) != node->device->capture->number) return; /* a kept answer, of one that has been given up */
+    n_captures++;
+    REQUIRE(size <= sizeof blob && size == records * get(reply + 6, 2) + 8u * edges);
+    REQUIRE(get(reply + 16, 4) <= get(reply + 8, 4) && records == get(reply + 16, 4) + get(reply + 12, 4));
+    for (uint32_t offset = 0, part; offset < size; offset += part) {
+        const uint8_t *from;
+        part = size - offset;
+        from = hbp_capture_blob(node->device, offset, &part);
+        memcpy(blob + offset, from, part);
+    }
+    REQUIRE(crc32(blob, size) == get(reply + 40, 4));
+    for (uint32_t k = 0; k < ids; k++) bytes += channel_bytes(get(reply + 66 + 2 * k, 2));
+    REQUIRE(bytes == get(reply + 6, 2));
+    for (uint32_t k = 0; k < records; k++)
+        for (uint32_t c = 0; c < ids; c++) {
+            unsigned id = get(reply + 66 + 2 * c, 2);
+            REQUIRE(get(at, channel_bytes(id)) == value_at((uint16_t)id, index + k * step));
+            at += channel_bytes(id);
+        }
+    REQUIRE((uint32_t)get(reply + 48, 4) == get(reply + 56, 4) * TICKS);
+    for (uint32_t k = 0; k < edges; k++, at += 8) {
+        uint32_t number = get(reply + 32, 4) + k, tick = get(at, 4);
+        REQUIRE((int32_t)(tick - index * TICKS) >= 0 && (int32_t)(last * TICKS - tick) >= 0);
+        REQUIRE(node->edges - number > KEPT || tick == node->edge_ticks[number % KEPT]);
+    }
+}
+
 /* Whether a reply to HELLO has the nonce of another. */
 static int other_hello(const struct asked *asked, const uint8_t *body)
 {
@@ -186,6 +228,7 @@ static void check_reply(struct node *node, const uint8_t *body, size_t n)
     }
     if (body[0] == HBP_TYPE_HELLO) REQUIRE(n == 116 && get(body + 8, 4) == get(asked->payload, 4));
     if (body[0] == HBP_TYPE_STREAM_SET && !can) remember_stream(node, asked, body + 8);
+    if (body[0] == HBP_TYPE_CAPTURE_ARM || body[0] == HBP_TYPE_CAPTURE_STATUS) check_capture(node, body + 8, n);
     if (body[0] == HBP_TYPE_STATE_CMD) REQUIRE(n == 4 && body[8] >= HBP_STATE_IDLE && body[8] <= HBP_STATE_FAULT);
 }
 
@@ -256,6 +299,15 @@ static void begin(uint32_t features)
         struct node *node = &nodes[k];
         configure_drive(&node->config, node->parameters, &node->app, (uint8_t)(k + 1u), features);
         node->app.moody = 1;
+        free(node->memory);
+        node->memory = NULL;
+        node->config.capture_bytes = below(4) ? 200u + below(3000) : 0;
+        if (node->config.capture_bytes) node->config.capture = node->memory = malloc(node->config.capture_bytes);
+        if (below(2)) node->config.meanings = "hall what the sensors say\ni_a a current\n";
+        if (below(4)) {
+            node->config.waveform = node->waveform;
+            node->config.waveform_length = 256;
+        }
         node->edges = node->dropped = node->overrun = 0;
         node->code = 1;
         memset(node->told, 0, 65536 * sizeof *node->told);
@@ -674,6 +726,7 @@ static void prepare(void)
         if (nodes[k].device) return;
         nodes[k].device = malloc(sizeof *nodes[k].device);
         nodes[k].told = calloc(65536, sizeof *nodes[k].told);
+        nodes[k].waveform = malloc(512);
     }
 }
 
@@ -705,10 +758,11 @@ int main(int argc, char **argv)
             else byte_step();
         }
     }
-    printf("%lu frames, %lu damaged, %lu replies, %lu samples, %lu edges, %lu periods with outputs on\n", n_frames, n_damaged,
-           n_replies, n_samples, n_edges, n_running);
+    printf("%lu frames, %lu damaged, %lu replies, %lu samples, %lu edges, %lu captures, %lu periods with outputs on\n", n_frames,
+           n_damaged, n_replies, n_samples, n_edges, n_captures, n_running);
     fflush(stdout);
     REQUIRE(n_replies > frames / 4 && n_samples > frames / 20 && n_edges > frames / 100 && n_running > frames / 100);
+    REQUIRE(n_captures > frames / 1000);
     return 0;
 }
 #endif

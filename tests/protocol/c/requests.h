@@ -45,11 +45,27 @@ static void make_stream_set(struct made *m)
     m->n = (uint16_t)(8 + 2 * ids);
 }
 
+static void make_capture_arm(struct made *m)
+{
+    unsigned ids = 1u + below(5);
+    uint8_t *p = m->payload;
+    p[0] = (uint8_t)(below(3) ? usually(11, 0xFFu) : 0);
+    put(p + 2, below(2) ? 1u : usually(9, 0xFFFFu), 2);
+    put(p + 4, usually(40, 0xFFFFFFFFu), 4);
+    put(p + 8, below(8) ? 1u + below(40) : draw(), 4);
+    put_f32(p + 12, below(2) ? (float)below(2000) - 1000.0f : some_float());
+    put(p + 16, below(8) ? 1u + below(FEW) : draw(), 2);
+    put(p + 18, usually(9, 0xFFFFu), 2);
+    put(p + 20, ids, 2);
+    for (unsigned k = 0; k < ids; k++) put(p + 22 + 2 * k, below(8) ? 1u + (p[16] + k) % FEW : 1u + below(n_channels + 2u), 2);
+    m->n = (uint16_t)(22 + 2 * ids);
+}
+
 /* Mostly what leads to a drive that runs and streams. */
 static void make_request(struct made *m, uint8_t state, uint32_t faults)
 {
-    static const uint8_t types[] = {0x01, 0x02, 0x05, 0x05, 0x05, 0x05, 0x10, 0x11, 0x12, 0x13, 0x20, 0x20, 0x20, 0x21, 0x21, 0x30,
-                                    0x30, 0x30, 0x31, 0x31, 0x31, 0x31, 0x32, 0x33};
+    static const uint8_t types[] = {0x01, 0x02, 0x05, 0x05, 0x05, 0x05, 0x10, 0x10, 0x11, 0x12, 0x13, 0x14, 0x20, 0x20, 0x20, 0x21, 0x21,
+                                    0x30, 0x30, 0x30, 0x31, 0x31, 0x31, 0x31, 0x32, 0x33, 0x38, 0x38, 0x39};
     uint8_t *p = m->payload;
     memset(m, 0, sizeof *m);
     m->type = types[below(sizeof types)];
@@ -70,7 +86,7 @@ static void make_request(struct made *m, uint8_t state, uint32_t faults)
         m->tid = 0;
         break;
     case 0x10:
-        p[0] = (uint8_t)(below(8) ? 0 : draw());
+        p[0] = (uint8_t)(below(8) ? below(2) : below(6));
         put(p + 2, below(2) ? below(300) : draw(), 2);
         put(p + 4, usually(300, 0xFFFFFFFFu), 4);
         m->n = 8;
@@ -94,7 +110,15 @@ static void make_request(struct made *m, uint8_t state, uint32_t faults)
         m->n = 12;
         m->tid = 0;
         break;
+    case 0x14:
+        p[0] = (uint8_t)(below(8) ? 4 : draw());
+        m->n = (uint16_t)(8 + below(30));
+        put(p + 2, m->n - 8u, 2);
+        put(p + 4, usually(600, 0xFFFFFFFFu), 4);
+        for (unsigned k = 8; k < m->n; k++) p[k] = (uint8_t)draw();
+        break;
     case 0x30: make_stream_set(m); break;
+    case 0x38: make_capture_arm(m); break;
     case 0x31:
     case 0x32:
         put(p, below(8) ? (m->type == 0x32 ? 1u << below(4) : below(16)) : draw(), 4);

@@ -71,10 +71,10 @@ def _structures(folder: Path, flags: tuple[str, ...]) -> dict[str, int]:
     return {name: int(size, 16) for size, name in re.findall(r"^\w+ (\w+) \w (\w+)$", symbols, re.M)}
 
 
-def cost(what: str, can: bool, capture: bool) -> Cost:
+def cost(what: str, can: bool, capture: bool, waveform: bool) -> Cost:
     """Of a byte link, or of a classic CAN bus, compiled for size with 8 channels and otherwise as hbp.h is."""
     files = [*FILES, *([SOURCE / "hbp_can.c"] if can else [])]
-    flags = (*FLAGS, f"-DHBP_CAPTURE={capture:d}", f"-DHBP_WAVEFORM={capture:d}")
+    flags = (*FLAGS, f"-DHBP_CAPTURE={capture:d}", f"-DHBP_WAVEFORM={waveform:d}")
     keep = CAN if can else BYTES
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -132,9 +132,14 @@ def write(text: str) -> None:
 
 def costs() -> list[Cost]:
     """Of all links."""
-    links = (("byte link: hbp.c", False), ("classic CAN: hbp.c, hbp_can.c", True))
+    with_can, with_capture = ", hbp_can.c", ", hbp_capture.c"
     return [
-        cost(f"{what}, hbp_capture.c" if capture else what, can, capture) for capture in (False, True) for what, can in links
+        cost("byte link: hbp.c", False, False, False),
+        cost(f"classic CAN: hbp.c{with_can}", True, False, False),
+        cost(f"byte link with captures: hbp.c{with_capture}", False, True, False),
+        cost(f"classic CAN with captures: hbp.c{with_can}{with_capture}", True, True, False),
+        cost("byte link with captures and a waveform, as hbp.h is", False, True, True),
+        cost("classic CAN with captures and a waveform", True, True, True),
     ]
 
 

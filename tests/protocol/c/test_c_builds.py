@@ -6,7 +6,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from building import LARGE, SMALL, SOURCE, STRICT, compiler, options, run
+from building import FILES, LARGE, SMALL, SOURCE, STRICT, compiler, options, run
 
 from tests.choice import sampled
 
@@ -16,7 +16,7 @@ CORTEX_M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=har
 
 
 def compile_all(folder: Path, name: str, *flags: str) -> None:
-    for file in ("hbp.c", "hbp_can.c"):
+    for file in FILES:
         run(compiler(name, *flags), *flags, *STRICT, "-c", SOURCE / file, "-o", folder / "x.o")
 
 
@@ -33,8 +33,13 @@ def test_compiles_with_other_options(tmp_path: Path, name: str, bits: str, value
     compile_all(tmp_path, name, "-std=c99", bits, "-O1", *options(values))
 
 
+@pytest.mark.parametrize("values", [{"CAPTURE": 0}, {"WAVEFORM": 0}, {"PORTABLE": 1}])
+def test_compiles_without_what_is_optional(tmp_path: Path, values: dict[str, int]) -> None:
+    compile_all(tmp_path, "gcc", "-std=c99", "-O1", *options(values))
+
+
 def test_options_that_cannot_be_do_not_compile(tmp_path: Path) -> None:
-    for wrong in ("TX_BYTES=1000", "RX_MAX=127", "EDGES=12", "CHANNELS=500", "POOL_BYTES=500"):
+    for wrong in ("TX_BYTES=1000", "RX_MAX=127", "EDGES=12", "CHANNELS=500", "POOL_BYTES=500", "CAPTURE=2"):
         with pytest.raises(AssertionError, match="hbp_check_"):
             run(compiler("gcc"), "-std=c99", "-fsyntax-only", f"-DHBP_{wrong}", SOURCE / "hbp.c")
 

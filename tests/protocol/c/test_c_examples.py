@@ -21,6 +21,7 @@ from tests.bench.processes import Program
 
 pytestmark = [pytest.mark.real_time, pytest.mark.long("whole processes in real time, some up to three times")]
 EXAMPLES = SOURCE / "examples"
+OWN = SOURCE / "hbp.c", SOURCE / "hbp_capture.c"
 MPS2 = EXAMPLES / "mps2-an386"
 SETTLED = ("--viewer", "none", "--json", "-")
 PR_SET_PDEATHSIG = 1
@@ -148,7 +149,7 @@ def test_every_wiring_is_put_right_as_in_the_specification(tmp_path: Path) -> No
         """
     )
     program = tmp_path / "codes"
-    run(compiler("gcc"), f"-I{EXAMPLES}", "-Wno-unused-function", "-o", program, tmp_path / "codes.c", SOURCE / "hbp.c")
+    run(compiler("gcc"), f"-I{EXAMPLES}", "-Wno-unused-function", "-o", program, tmp_path / "codes.c", *OWN)
     codes = subprocess.run([program], capture_output=True, text=True, check=True).stdout.split()
     wirings = itertools.product(HallSwap, range(8))
     assert list(map(int, codes)) == [code for swap, invert in wirings for code in hall_map(swap, invert)]

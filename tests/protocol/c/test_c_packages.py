@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from building import LIMIT, ROOT, SOURCE, compiler, run
+from building import FILES, LIMIT, ROOT, SOURCE, compiler, run
 
 import protocol
 from tests.tools import require
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 VERSION = protocol.__version__
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-C_FILES = {"hbp.c", "hbp_can.c"}
+C_FILES = {*FILES}
 
 
 def kept_files() -> list[Path]:
@@ -112,7 +112,7 @@ def test_the_zephyr_module_names_what_there_is(tmp_path: Path, can: str) -> None
     done = subprocess.run([compiler("cmake"), "-P", script], capture_output=True, text=True, timeout=LIMIT)
     assert done.returncode == 0, done.stderr
     sources = re.findall(r"^library_sources (.*)$", done.stderr, re.MULTILINE)
-    assert {Path(file).name for file in sources} == (C_FILES if can == "y" else {"hbp.c"})
+    assert {Path(file).name for file in sources} == (C_FILES if can == "y" else C_FILES - {"hbp_can.c"})
     assert all(Path(file).is_file() for file in sources)
     assert "compile_definitions HBP_CHANNELS=16" in done.stderr
     assert ("HBP_CAN_BYTES=8" in done.stderr) == (can == "y")

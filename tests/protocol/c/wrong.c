@@ -5,6 +5,9 @@ struct sample { uint16_t a, b; uint8_t c; };
 static struct hbp_channel channels[HBP_CHANNELS + 1];
 static struct hbp_parameter parameters[2];
 static float value = 1;
+static uint8_t memory[99];
+static int16_t samples[256];
+static const uint16_t ids[3] = {3, 1, 4};
 static uint16_t enter(void *u, uint8_t s, float *d) { return (void)u, (void)s, (void)d, 0; }
 static uint16_t setpoint(void *u, uint8_t m, float v, float w, float *d)
 { return (void)u, (void)m, (void)v, (void)w, (void)d, 0; }
@@ -56,6 +59,12 @@ int main(void)
     WRONG(parameters[1].initial = 3, HBP_WRONG_PARAMETER_RANGE | 1)
     WRONG(parameters[1].value = NULL, HBP_WRONG_PARAMETER_VALUE | 1)
     WRONG(parameters[1].id = 1, HBP_WRONG_PARAMETER_TWICE | 1)
+    WRONG((c.capture = memory, c.capture_bytes = 24), HBP_WRONG_CAPTURE) /* less than five records */
+    WRONG((c.capture = memory, c.capture_bytes = 0x80000000u), HBP_WRONG_CAPTURE)
+    WRONG((c.capture = memory, c.capture_bytes = 99, c.fault_channels = ids, c.n_fault_channels = 3), HBP_WRONG_CAPTURE)
+    WRONG((c.capture = memory, c.capture_bytes = 99, c.fault_channels = ids, c.n_fault_channels = 2), 0)
+    WRONG((c.waveform = samples, c.waveform_length = 255), HBP_WRONG_WAVEFORM)
+    WRONG((c.waveform = samples, c.waveform_length = 256, c.capture = memory, c.capture_bytes = 25), 0)
     WRONG(, 0)
     return 0;
 }

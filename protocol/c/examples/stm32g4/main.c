@@ -67,6 +67,8 @@ static const struct hbp_parameter parameters[] = {
     {107, HBP_UNIT_NONE, HBP_FLAG_IDLE_ONLY | HBP_FLAG_WHOLE, 0.0f, 7.0f, 0.0f, &hall_invert, "hall_invert_hat"},
 };
 
+static uint8_t memory[48u << 10]; /* for captures: 0.25 s of all channels at 20 kHz take 30 KiB, a quarter of this chip's memory and more */
+
 static void outputs_off(void)
 {
     TIM1->BDTR &= ~MOE;
@@ -117,6 +119,7 @@ static const struct hbp_config config = {
     .sample_bytes = sizeof(struct sample), .channels = channels, .n_channels = sizeof channels / sizeof channels[0],
     .parameters = parameters, .n_parameters = sizeof parameters / sizeof parameters[0],
     .enter = enter, .setpoint = setpoint, .outputs_on = outputs_on, .clear = clear,
+    .capture = memory, .capture_bytes = sizeof memory,
 };
 
 /* ---- interrupts --------------------------------------------------------------------------------------------------------- */
