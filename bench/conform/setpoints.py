@@ -81,9 +81,9 @@ def unanswered(device: Device) -> str:
 
 @check("value2-unused", "8.7")
 def value2_unused(device: Device) -> str:
-    """SPEED 0 with a finite value2, which SPEED does not use, is accepted."""
+    """SPEED 0 with a finite value2, which SPEED does not use without the feature COMMISSION, is accepted."""
     if device.offers(Feature.COMMISSION):
-        raise NotApplicable("with the feature COMMISSION, value2 of SPEED is a current")
+        raise NotApplicable("value2 of SPEED is i_d: the device has COMMISSION")
     device.run()
     if not is_taken(device, SetpointMode.SPEED, 0x0101):
         raise Unknown("SPEED 0 was not accepted")

@@ -56,6 +56,17 @@ def init() -> State:
 
 
 @kernel
+def at_voltage(
+    params: Params, u_d: float, u_q: float, i_d_ref: float, i_q_ref: float, i_d: float, i_q: float, omega_e: float
+) -> State:
+    """The state in which the loop, with these arguments of `step`, goes on at a voltage (V) that is there already."""
+    return State(
+        u_d - params.k_p * (i_d_ref - i_d) + omega_e * params.L_s * i_q,
+        u_q - params.k_p * (i_q_ref - i_q) - omega_e * (params.L_s * i_d + params.psi_f),
+    )
+
+
+@kernel
 def step(
     params: Params,
     state: State,

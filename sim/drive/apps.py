@@ -36,7 +36,7 @@ AT_A_FAULT = frozenset(
     "theta_avg omega_avg theta_vt omega_vt theta_ctrl".split()
 )
 """Channels of the capture that waits for a fault: what is measured and controlled, and estimated in any case."""
-ROUNDED = 2.0 * MILLI  # V, by which a voltage as telemetry carries it may be another
+SLACK = 1.05  # of `u_test_max`, of which a voltage may be away: a loop's is never still; the firmware is strict
 LIMITED = {
     "forced_speed": ("electrical speed", ("n_p", "omega_m_max")),
     "test_voltage": ("voltage", ("u_test_max",)),
@@ -114,7 +114,7 @@ class DriveApp:
             most = self.get_param("u_test_max")
             _limit("voltage", math.hypot(value, value2), most)
             jump = abs(complex(value2, value) - self._bench.voltage)
-            if jump > most + ROUNDED:
+            if jump > SLACK * most + 2.0 * MILLI:
                 raise Refused(f"the voltage would jump by {jump:.3g} V, above {most:g}", ErrorCode.OUT_OF_RANGE, most)
         elif mode is SetpointMode.CURRENT:
             _limit("current", math.hypot(value, value2), self.get_param("i_max"))

@@ -244,6 +244,7 @@ class SimulatedBench:
         if state == DriveState.ARMED:
             self._reset = True
         if state != DriveState.RUNNING:
+            self._angle_set &= self._drive.state != DriveState.RUNNING
             self._used, self._source_from, self._source_before = set(), 0, self._source
             self._choose()
             if self._commissioning:
@@ -309,11 +310,10 @@ class SimulatedBench:
         if name == "observer":
             self._observe(int(value))
         self._reset |= name in HALL_RING  # what observers remember was in another frame
-        self.parameters[name] = _f32(value)
-        self._commissioning |= name in AT_BOOT and self.outputs_on
-        if name in ("forced", "forced_angle"):
-            goes = self._angle_set or bool(self.parameters["forced_angle"]) or name == "forced_angle"
-            self._angle_set = bool(self.parameters["forced"]) and goes
+        before, self.parameters[name] = self.parameters[name], _f32(value)
+        self._commissioning |= name in AT_BOOT and self.outputs_on and self.parameters[name] != before
+        if name == "forced_angle":  # that it is put back to its default when RUNNING has ended sets nothing
+            self._angle_set = bool(value) or self.outputs_on or before == value
         elif name == "test":
             self._begin_test()
         self._set_params()

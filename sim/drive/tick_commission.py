@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from protocol.codes import TestSignal
 from sim.circle import cos_sin
-from sim.control import current_loop, speed_loop
+from sim.control import speed_loop
 from sim.control.transforms import clip, inverse_park, park
 from sim.native import Pointer
 from sim.numba_cache import kernel
@@ -206,12 +206,6 @@ def given(params: Params, old: Two, u_d: float, u_q: float) -> Two:
     """A given voltage (V), or as much of the way there from `old` as it may come in a period."""
     u_d, u_q = within(params.u_max, (u_d - old[0], u_q - old[1]))
     return old[0] + u_d, old[1] + u_q
-
-
-@kernel
-def taken_over(loop: current_loop.State, u: Two, old: Two) -> current_loop.State:
-    """The current loop where it goes on at the voltage `old` instead of its own `u`, (d, q) in V."""
-    return current_loop.State(loop.u_d_i + old[0] - u[0], loop.u_q_i + old[1] - u[1])
 
 
 @kernel

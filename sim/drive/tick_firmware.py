@@ -193,26 +193,27 @@ def _voltage(
     state: State,
     command: Command,
     angle: Angle,
-    tested: float,
     loop: current_loop.State,
     u: Two,
-    u_max: float,
+    refs: Two,
+    i: Two,
+    smooth: float,
     cos: float,
     sin: float,
-) -> tuple[commission.State, current_loop.State, Two]:
-    """What becomes of the loop's voltage `u` (d, q): a given one, one that goes on, and the test signal beside it."""
+) -> tuple[current_loop.State, Two]:
+    """What becomes of the loop and its voltage `u` (d, q), in the frame of cos and sin: a given one, one that goes on.
+
+    `refs`, `i`, `smooth`: what the loop was stepped with.
+    """
     before = state.driving
     turned = params.T_s * state.angle.omega
     old = commission.going_on(state.commission, before.next.u_alpha, before.next.u_beta, turned, cos, sin)
     other_frame = (state.angle.source == FORCED) != (angle.source == FORCED)
     if command.mode == MODE_VOLTAGE:
-        loop = current_loop.init()
-        u = commission.given(params.commission, old, command.u_d, command.u_q)
-    elif before.next.on == 1 and (before.mode == MODE_VOLTAGE or other_frame):
-        loop = commission.taken_over(loop, u, old)
-        u = old
-    special, u = commission.with_test(params.commission, state.commission, tested, u, u_max, cos, sin)
-    return special, loop, u
+        return current_loop.init(), commission.given(params.commission, old, command.u_d, command.u_q)
+    if before.next.on == 1 and (before.mode == MODE_VOLTAGE or other_frame):
+        return current_loop.at_voltage(params.current, *old, *refs, *i, smooth), old
+    return loop, u
 
 
 @kernel
@@ -300,10 +301,11 @@ def step(
         )
         cos, sin = turn(cos, sin, 1.5 * params.T_s * smooth)
         if params.commission.on == 1:
-            state = state._replace(commission=special)
-            special, current, (u_d, u_q) = _voltage(
-                params, state, command, angle, tested, current, (u_d, u_q), u_max, cos, sin
+            refs = i_d_ref, i_q_ref
+            current, u = _voltage(
+                params, state, command, angle, current, (u_d, u_q), refs, (i_d, i_q), smooth, cos, sin
             )
+            special, (u_d, u_q) = commission.with_test(params.commission, special, tested, u, u_max, cos, sin)
             i_q_back = 0.0 if mode == MODE_VOLTAGE else i_q_back
         output = _modulate(params, learned.left, sensed.u_dc, (u_d, u_q), (i_d, i_q), cos, sin)
         now = before.next

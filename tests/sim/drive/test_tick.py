@@ -226,7 +226,31 @@ def played():
         records = one, bench.advance(30)
         found += [getattr(r, what).tobytes().hex() for r in records for what in ("samples", "edges", "load_samples")]
         found += [column.hex() for column in loop_records(records)]
-    return found
+    return found + [column.hex() for column in loop_records(commissioned())]
+
+
+def commissioned():
+    """What is recorded of a drive with each of the means of commissioning."""
+    bench = Rig(5, **{"firmware.observer": 0, "firmware.encoder_zero": 0.5, "firmware.encoder_reverse": 1})
+    bench.waveform[:3] = 32767, -9, 12000
+    bench.load(SetpointMode.SPEED, 30.0)
+    bench.enable()
+    bench.set_param("encoder_reverse", 0.0)
+    parts = []
+    for parameters, setpoint in (
+        ({"test_voltage": 0.5, "test_periods": 3, "test": 1}, (SetpointMode.VOLTAGE, 1.0, 0.3)),
+        ({"forced_slope": 5e4, "forced_speed": 90.0, "forced": 1}, (SetpointMode.CURRENT, 2.0, -1.0)),
+        ({"test": 0, "test_current": 9.0, "test_length": 3}, (SetpointMode.CURRENT, 7.0, 1.0)),
+        ({"forced_speed": 0.0, "forced_angle": -1.0, "test": 4}, (SetpointMode.VOLTAGE, 0.5, -0.5)),
+        ({"forced": 0, "test": 0, "test_speed": 4.0}, (SetpointMode.SPEED, 20.0, 2.0)),
+        ({"test": 5}, (SetpointMode.SPEED, 25.0, 0.0)),
+    ):
+        for name, value in parameters.items():
+            bench.set_param(name, value)
+        bench.setpoint(*setpoint)
+        parts.append(bench.advance(40))
+    assert bench.faults == 0
+    return parts
 
 
 @pytest.mark.slow

@@ -3,6 +3,8 @@
 import pytest
 from rig import Rig, loop_records
 
+from protocol.messages import SetpointMode
+from protocol.signals import Status
 from sim.drive import tick
 
 RARE = {
@@ -33,6 +35,22 @@ def test_both_loops_agree_bit_for_bit_and_one_takes_over_from_the_other():
     loops, found = run(general=False)
     assert loops == [tick.advance_usual, tick.advance, tick.advance_usual]
     assert found == run(general=True)[1]
+
+
+@pytest.mark.parametrize("mode", [SetpointMode.SPEED, SetpointMode.CURRENT])
+def test_a_test_signal_of_no_size_changes_no_bit_but_the_one_of_its_cycles(mode):
+    found = []
+    for kind in (0.0, 3.0, 5.0):
+        rig = Rig(7)
+        rig.start()
+        rig.spin(200.0, 0.2, 0.05)
+        rig.set_param("test", kind)
+        assert rig._advance is (tick.advance if kind else tick.advance_usual)
+        rig.setpoint(mode, 2.0)
+        run = rig.advance(900)
+        assert bool((run.samples["status"] & Status.INJECTION_SYNC).any()) == bool(kind)
+        found.append([run[name].tobytes() for of in tick.RECORDS for name in of._fields if name != "status"])
+    assert found[0] == found[1] == found[2]
 
 
 @pytest.mark.parametrize(("name", "value"), RARE.items(), ids=RARE)
