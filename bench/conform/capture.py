@@ -303,13 +303,12 @@ def met(kind: CaptureTrigger, values: NDArray[np.float64], level: float) -> NDAr
     """In which of consecutive periods a condition of SPEC's table holds; the first has none before it."""
     before = np.concatenate([values[:1], values[:-1]])
     if kind == CaptureTrigger.CHANGES:
-        return values != before
+        return np.not_equal(values, before)
     above = kind in (CaptureTrigger.ABOVE, CaptureTrigger.RISES)
-    now = values > level if above else values < level
+    now, was = (values > level, before > level) if above else (values < level, before < level)
     if kind in (CaptureTrigger.ABOVE, CaptureTrigger.BELOW):
-        return now
-    was = before > level if above else before < level
-    return now & ~was
+        was = np.zeros_like(was)
+    return np.logical_and(now, ~was)
 
 
 @check("channel-triggers", "19.18 19.20 19.21 19.24")

@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.conform.blobs import WAVEFORM, written
+from bench.conform.captured import physical
 from bench.conform.checks import Group
 from bench.conform.data import by_index
 from bench.conform.device import ALL, PATIENCE, Device, ids, require_granted
 from bench.conform.levels import STATES
 from bench.conform.means import every_period
+from bench.conform.motion import reference
 from bench.conform.parameters import changed, value_refused
 from bench.conform.probe import accepted, refusal
 from bench.conform.setpoints import is_taken, rejected
@@ -37,6 +39,8 @@ SPEED_ERROR = 0.02  # share
 AT_REST = 2 * math.pi  # rad/s, largest speed towards the forced angle
 CYCLES = ((37, 0, 74), (11, 5, 55))
 """test_periods, test_length, and the periods of a cycle of both."""
+FEW = 20  # VOLTAGEs of zero until one is near enough to what the current loop gives
+TURNED, STILL = 1.0, 0.05  # rad by which encoder_zero is changed, and by which a shaft at rest may move
 TINY = 1e-6  # A²s
 TRIPS = 1.0  # s in which the noise of a current sensor makes that
 
@@ -134,7 +138,7 @@ def no_waveform(device: Device) -> str:
     return f"test_length = 1: {answer}"
 
 
-@check("volatile", "9.12 20.5 5.52")
+@check("volatile", "9.12 20.5 20.1 5.52")
 def volatile(device: Device) -> Iterator[str]:
     """VOLATILE parameters are at their defaults once RUNNING has ended, by STOP or by a fault, and tell so."""
     passing = device.parameters(Flag.VOLATILE, Flag.READ_ONLY)
@@ -303,7 +307,66 @@ def test_cycle(device: Device) -> Iterator[str]:
         yield f"{words}, {cycle} periods apart"
 
 
-@check("overload", "20.2")
+@check("protects", "20.1")
+def protects(device: Device) -> Iterator[str]:
+    """With a forced angle and a given voltage of zero, limits of current and DC link that are lowered to 0 trip."""
+    for name, fault in (("i_trip", Fault.OVERCURRENT), ("u_dc_max", Fault.OVERVOLTAGE)):
+        record = require(device, "forced") and device.named(name)
+        if record is None or record.flags & (Flag.READ_ONLY | Flag.IDLE_ONLY) or device.parameter(record).lo > 0:
+            yield f"{name} cannot be set to 0"
+            continue
+        with restored(device, name):
+            device.run()
+            put(device, "forced", 1.0)
+            if not any(is_taken(device, SetpointMode.VOLTAGE, 0x0100 + n) for n in range(FEW)):
+                raise Unknown("VOLTAGE 0 was not accepted")
+            before = device.parameter(record).value
+            put(device, name, 0.0)
+            try:
+                beat = device.probe.beat(lambda beat: beat.state == DriveState.FAULT, TRIPS, "with FAULT ")
+            except Unknown as nothing:
+                if fault == Fault.OVERVOLTAGE:
+                    raise Failed(f"{name} = 0 in VOLTAGE with forced 1: {nothing}") from None
+                raise Unknown(f"{name} = 0: {nothing}: perhaps its sensors show no current at all") from None
+            require_granted(device.set(record, before), f"{name} = {before:g}")
+            if not beat.faults & fault or beat.outputs_on:
+                raise Failed(f"{name} = 0 in VOLTAGE with forced 1 led to faults 0x{int(beat.faults):x}")
+        yield f"{name} = 0 in VOLTAGE with forced 1: {fault.name}"
+
+
+@check("encoder-zero", "20.17")
+def encoder_zero(device: Device) -> str:
+    """Another encoder_zero turns the encoder's angle by as much."""
+    record, channel = device.named("encoder_zero"), reference(device)
+    if record is None or channel is None:
+        raise NotApplicable("the device lacks the parameter encoder_zero, or an encoder's angle")
+    before = device.parameter(record).value
+    found = []
+    try:
+        for value in (before, before + TURNED if before < 0 else before - TURNED):
+            require_granted(device.set(record, value), f"encoder_zero = {value:g}")
+            device.probe.heard.clear()
+            device.probe.stream_frames.clear()
+            told = device.configure(0, ids([channel]), RATE, share=ALL)
+            device.start_streams(1)
+            device.probe.listen(SETTLED)
+            samples = by_index(device, told, (channel,))
+            device.stop_streams()
+            if not samples:
+                raise Unknown(f"no sample of {channel.name} received")
+            angle = physical(channel, samples[max(samples)])[0]
+            found.append((value, float(angle)))
+    finally:
+        device.put_back(record, before)
+    (zero, first), (other, second) = found
+    off = (second - first - (other - zero) + math.pi) % (2 * math.pi) - math.pi
+    words = f"encoder_zero {zero:.4g}, then {other:.4g} rad: {channel.name} {first:.4g}, then {second:.4g} rad"
+    if abs(off) > STILL:
+        raise Failed(words)
+    return words
+
+
+@check("overload", "20.2 20.1")
 def overload(device: Device) -> str:
     """With i_cont 0 and next to no i2t_max, what the current sensors show at zero current trips OVERLOAD."""
     bears, most = require(device, "i_cont"), require(device, "i2t_max")

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from bench.conform.captured import Captured, captured, require_capture, status
 from bench.conform.checks import Group
-from bench.conform.commission import put, require, restored, value_of
+from bench.conform.commission import FEW, put, require, restored, value_of
 from bench.conform.data import signed
 from bench.conform.device import EDGE_BYTES, Device, ids, width
 from bench.conform.levels import MOTION
@@ -25,7 +25,6 @@ SECONDS = 0.5  # that a capture lasts
 RECORDS = 250
 ROOMS = (400, 3)  # edges for which there is room: for all, and for few
 VOLTS, OF_LIMIT = 0.05, 0.1  # V, largest voltage that is tried, and share of i_max that it may drive where that is told
-CALM = 20  # VOLTAGEs of zero at most until one is near enough to what the current loop gives
 MOST_OF_IT = 0.8  # share of the largest voltage
 
 
@@ -95,7 +94,7 @@ def nothing_jumps(device: Device) -> Iterator[str]:
         device.run()
         put(device, "forced", 1.0)
         volts = MOST_OF_IT * limit
-        if not any(is_taken(device, SetpointMode.VOLTAGE, 0x0100 + n) for n in range(CALM)):
+        if not any(is_taken(device, SetpointMode.VOLTAGE, 0x0100 + n) for n in range(FEW)):
             raise Unknown(f"VOLTAGE 0 was not accepted, u_test_max is {limit:.3g} V")
         if not is_taken(device, SetpointMode.VOLTAGE, 1, 0.0, volts):
             raise Failed(f"VOLTAGE 0, {volts:.3g} V from 0 was rejected, u_test_max is {limit:.3g} V")

@@ -67,7 +67,7 @@ def rows_of(raw: NDArray[np.void], dtype: np.dtype[np.void]) -> Rows:
     """Return samples of all channels as rows; TypeError if they are not of the channels' `dtype`."""
     if raw.dtype is not dtype and raw.dtype != dtype:
         raise TypeError(f"samples of {raw.dtype}, the channels make {dtype}")
-    return np.ascontiguousarray(raw).view(np.uint8).reshape(len(raw), -1)
+    return np.ascontiguousarray(raw).view(np.uint8).reshape(len(raw), dtype.itemsize)
 
 
 def runs_of(dtype: np.dtype[np.void], names: Iterable[str]) -> list[Run]:
