@@ -29,7 +29,7 @@ from bench.conform.captured import (
 )
 from bench.conform.checks import Group
 from bench.conform.data import by_index, few, split_sample
-from bench.conform.device import ALL, EDGE_BYTES, Device, ids, width
+from bench.conform.device import EDGE_BYTES, Device, ids, width
 from bench.conform.levels import STREAMS
 from bench.conform.probe import accepted, read, refusal
 from bench.conform.streams import absent
@@ -44,7 +44,8 @@ OF_BLOB = ("first", "records", "edges", "edges_lost", "first_edge", "size", "crc
 """Fields of a CaptureReply that are 0 while nothing is FROZEN."""
 STREAMED = 800.0  # Hz of the samples beside a capture
 BESIDE = 0.05  # s that the stream runs before and after
-DECIMATION = 3
+OTHER_DECIMATION = 3  # times that of the first capture
+COMMON = 12  # samples that a capture and a stream have in common
 AROUND = 40  # records before a trigger, and from it on
 SPARSE = 50  # a decimation
 RARE = 0.06  # share of the periods in which a condition is met that is looked for with it
@@ -187,16 +188,20 @@ def as_streamed(device: Device) -> Iterator[str]:
     """The records of a capture are the samples that a stream has at the same indices, byte for byte."""
     require_capture(device)
     chosen = few(device)
-    for decimation, order in ((1, chosen), (DECIMATION, chosen[::-1])):
-        records = fitting_records(device, chosen)
-        told = device.configure(0, ids(chosen), STREAMED, share=ALL)
+    room = fitting_records(device, chosen)
+    for times, order in ((1, chosen), (OTHER_DECIMATION, chosen[::-1])):
+        told = device.configure(0, ids(chosen), STREAMED)
+        every = 1 << (told.asked.decimation - 1).bit_length()  # what has many divisors
+        told = device.configure(0, ids(chosen), device.pwm_hz / every)
+        dense = _dense(told.asked.decimation, room)
+        decimation, records = times * dense, min(room, COMMON * told.asked.decimation // dense)
         device.start_streams(1)
         device.probe.listen(BESIDE)
         began = device.probe.tick()[0]
         found = captured(device, CaptureArm(CaptureTrigger.NOW, 0, decimation, 0, records, channels=ids(order)))
         device.probe.listen(BESIDE)
-        samples = by_index(device, told, chosen)
         device.stop_streams()
+        samples = by_index(device, told, chosen)
         reply = found.reply
         if words := place_of(reply, told.reply.tick0, device.ticks_per_period):
             raise Failed(words)
@@ -213,6 +218,13 @@ def as_streamed(device: Device) -> Iterator[str]:
         yield _same(found, samples, chosen)
         device.probe.heard.clear()
         device.probe.stream_frames.clear()
+
+
+def _dense(decimation: int, records: int) -> int:
+    """The least divisor of a stream's decimation with which so many records span COMMON samples of it, or itself."""
+    return next(
+        (n for n in range(1, decimation) if decimation % n == 0 and n * records >= COMMON * decimation), decimation
+    )
 
 
 def _same(found: Captured, samples: dict[int, bytes], chosen: tuple[Channel, ...]) -> str:

@@ -60,13 +60,14 @@ def means(device: Device) -> str:
     """A record of MEAN holds the mean of the raw values over its periods, the last value of what has no unit."""
     device.require(Feature.MEANS)
     chosen = _chosen(device)
-    told = device.configure(0, ids(chosen), RATE, share=ALL, event=StreamEvent.MEAN)
+    told = device.configure(0, ids(chosen), RATE, event=StreamEvent.MEAN)
     if told.reply.sample_bytes != 4 * len(chosen):
         raise Failed(f"sample_bytes is {told.reply.sample_bytes} for the means of {len(chosen)} channels")
     device.start_streams(1)
-    device.streamed(0, WATCHED / 2) if not device.probe.line.bus else device.probe.listen(WATCHED / 2)
+    device.probe.listen(WATCHED / 2)
     samples = every_period(device, chosen)
     device.probe.listen(WATCHED / 2)
+    device.stop_streams()
     as_floats = tuple(replace(channel, raw=RawType.F32) for channel in chosen)
     found = by_index(device, told, as_floats)
     return _compared(told, chosen, found, samples)
