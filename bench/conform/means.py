@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +34,7 @@ def _chosen(device: Device) -> tuple[Channel, ...]:
     plain = [c for c in device.channels if c.unit == Unit.NONE and c not in wraps]
     others = [c for c in device.channels if c not in wraps and c not in plain]
     currents = sorted(others, key=lambda channel: channel.unit != Unit.A)
-    return (*wraps[:1], *plain[:1], *currents[:2])
+    return tuple(dict.fromkeys((*wraps[:1], *plain[:1], *plain[-1:], *currents[:2])))
 
 
 def every_period(device: Device, chosen: Sequence[Channel]) -> dict[int, bytes]:
@@ -58,12 +58,18 @@ def every_period(device: Device, chosen: Sequence[Channel]) -> dict[int, bytes]:
 @check("means", "11.51")
 def means(device: Device) -> str:
     """A record of MEAN holds the mean of the raw values over its periods, the last value of what has no unit."""
+    return means_beside(device)
+
+
+def means_beside(device: Device, meanwhile: Callable[[Configured], None] = lambda told: None) -> str:
+    """Evidence for the means of some channels, streamed once `meanwhile` has begun. Raises Failed, Unknown."""
     device.require(Feature.MEANS)
     chosen = _chosen(device)
     told = device.configure(0, ids(chosen), RATE, event=StreamEvent.MEAN)
     if told.reply.sample_bytes != 4 * len(chosen):
         raise Failed(f"sample_bytes is {told.reply.sample_bytes} for the means of {len(chosen)} channels")
     device.start_streams(1)
+    meanwhile(told)
     device.probe.listen(WATCHED / 2)
     samples = every_period(device, chosen)
     device.probe.listen(WATCHED / 2)

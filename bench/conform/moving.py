@@ -10,14 +10,16 @@ from bench.conform.captured import Captured, captured, require_capture, status
 from bench.conform.checks import Group
 from bench.conform.commission import FEW, put, require, restored, value_of
 from bench.conform.data import signed
-from bench.conform.device import EDGE_BYTES, Device, ids, width
+from bench.conform.device import EDGE_BYTES, Configured, Device, ids, width
 from bench.conform.levels import MOTION
+from bench.conform.means import means_beside
 from bench.conform.motion import RUN_UP, Edge, Watch, edges_of, spin
 from bench.conform.setpoints import is_taken, rejected
 from bench.conform.verdicts import Failed, Unknown
 from protocol.codes import CaptureTrigger, ErrorCode, Feature, SetpointMode
 from protocol.messages import CaptureArm
 
+motion = Group("motion", MOTION)
 capture = Group("capture", MOTION)
 commission = Group("commission", MOTION)
 
@@ -26,6 +28,19 @@ RECORDS = 250
 ROOMS = (400, 3)  # edges for which there is room: for all, and for few
 VOLTS, OF_LIMIT = 0.05, 0.1  # V, largest voltage that is tried, and share of i_max that it may drive where that is told
 MOST_OF_IT = 0.8  # share of the largest voltage
+
+
+@motion("means", "11.51")
+def means(device: Device) -> str:
+    """A record of MEAN holds the mean of angles that pass the end of their range, too."""
+    device.require(Feature.MEANS)
+
+    def turn(told: Configured) -> None:
+        spin(device)
+        device.probe.listen(RUN_UP)
+
+    with device.probe.watched(Watch(device, None, None, None).look):
+        return means_beside(device, turn)
 
 
 @capture("edges", "19.24 19.26")
