@@ -1,6 +1,6 @@
-/* hbp.h: the device side of HBP 1.0, the Hall Bench Protocol (protocol/SPEC.md), in C99. This comment is the manual.
+/* hbp.h: the device side of HBP 1.1, the Hall Bench Protocol (protocol/SPEC.md), in C99. This comment is the manual.
  *
- * WHAT.  Copy hbp.h and hbp.c into a firmware (and hbp_can.h, hbp_can.c for CAN), and a motor drive answers `bench`: identity,
+ * WHAT.  Copy hbp.h, hbp_way.h, hbp.c and hbp_capture.c into a firmware (and hbp_can.h, hbp_can.c for CAN), and a motor drive answers `bench`: identity,
  * parameters, states and watchdog, samples at the PWM rate, timestamped Hall edges, events. No heap, no operating
  * system, no library but memcpy, memset, memcmp. Proved by `bench conform`.
  *
@@ -84,6 +84,10 @@
  *
  * A whole program of this kind is examples/posix.c.
  *
+ * CAPTURE.  Where the configuration gives memory (`capture`), samples and edges are held in it and frozen by a trigger, as a host asks, or by
+ * a fault without being asked: chapter 19 of SPEC, and docs/firmware.md. The memory is two rings, in which hbp_tick and hbp_edge write; from
+ * the end of a capture on it is the main loop's. Call hbp_raise before hbp_tick, and the record of that period is that of the fault.
+ *
  * WHO MAY CALL WHAT.  There are no locks; each queue has one writer and one reader.
  *   - main loop: hbp_link_init, hbp_add, hbp_rx, hbp_poll, hbp_fault, hbp_log. Only these call the application's functions.
  *   - PWM interrupt: hbp_tick, hbp_may_run, hbp_raise.
@@ -94,7 +98,7 @@
  *
  * TIME OF THE INTERRUPTS.  hbp_tick copies the chosen channels of each running stream: on a Cortex-M4, compiled for size, 50 instructions, 45
  * for each running stream of samples and 21 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 54,
- * hbp_may_run 17 and hbp_raise 20. CRC and COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
+ * hbp_may_run 17 and hbp_raise 22. While a capture waits, 19 to 43 more, and the copying of its record; hbp_edge then takes 133. CRC and COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
  *
  * WHAT IS LOST IS COUNTED.  Samples wait in blocks, one being filled by the interrupt, until the transmit queue has room. A block that
  * finds no free place is dropped whole, and counted: `tx_dropped`, the gap in `seq`, OVERRUN.

@@ -209,21 +209,23 @@ class CompiledSession:
         if isinstance(samples, LateSamples) and not self.sampling:
             return
         rows = rows_of(made(samples, self.channels), self._dtype)
-        edges = np.concatenate(self._edges) if self._edges else np.empty(0, EDGE_RECORD)
-        self._edges.clear()
-        data = rows.ctypes.data, self._dtype.itemsize, len(rows), edges.ctypes.data, len(edges)
-        self._lib.shim_ticks(self.at, index0, *data)
+        self._give(index0, rows.ctypes.data, len(rows))
 
     def push_edges(self, records: NDArray[np.void]) -> None:
-        """See `DeviceSession.push_edges`. C gets them among the samples that follow, or at the next look at the time."""
+        """See `DeviceSession.push_edges`. C gets them among the samples that follow, or when it looks at the time."""
         if len(records):
             self._edges.append(records.copy())
 
     def look(self) -> None:
         """Before C looks at the time: give it edges that no sample has followed."""
         if self._edges:
-            index0, none = self._lib.shim_periods(self.at), np.empty(0, self._dtype)
-            self.push_samples(index0, 0, none)
+            self._give(self._lib.shim_periods(self.at), None, 0)
+
+    def _give(self, index0: int, rows: int | None, n: int) -> None:
+        """Give C `n` samples from the period `index0` on, at the address `rows`, and the edges that wait."""
+        edges = np.concatenate(self._edges) if self._edges else np.empty(0, EDGE_RECORD)
+        self._edges.clear()
+        self._lib.shim_ticks(self.at, index0, rows, self._dtype.itemsize, n, edges.ctypes.data, len(edges))
 
     def fault(self, bits: Fault) -> None:
         """Latch faults: outputs off, state FAULT."""
@@ -256,12 +258,13 @@ class CompiledSession:
         self._parameters = (structure("hbp_parameter") * max(1, len(parameters)))(*parameters)
         names = [parameter.name for parameter in app.parameters]
         by_name = {channel.name: channel.id for channel in app.channels}
-        self._fault_channels = (ctypes.c_uint16 * len(extras.fault_channels))(*map(by_name.get, extras.fault_channels))
+        ids = [by_name[name] for name in extras.fault_channels]
+        self._fault_channels = (ctypes.c_uint16 * len(ids))(*ids)
         given: dict[str, Any] = {}
         if identity.features & Feature.CAPTURE and identity.capture_bytes:
             self._capture = ctypes.create_string_buffer(identity.capture_bytes)
             given = {"capture": ctypes.addressof(self._capture), "capture_bytes": identity.capture_bytes}
-        if extras.fault_channels:
+        if ids:
             given["fault_channels"] = ctypes.addressof(self._fault_channels)
         if identity.features & Feature.MEANINGS and extras.meanings:
             given["meanings"] = meanings_blob(extras.meanings, {*by_name, *names})
@@ -310,7 +313,7 @@ class CompiledSession:
             sample_bytes=self._dtype.itemsize,
             channels=ctypes.addressof(self._channels), n_channels=len(channels),
             parameters=ctypes.addressof(self._parameters), n_parameters=len(parameters),
-            n_fault_channels=len(extras.fault_channels),
+            n_fault_channels=len(ids),
             **given,
             **{name: told[name] for name in types if name in told},
             **{name: types[name](call) for name, call in calls.items()},

@@ -48,11 +48,6 @@ TICKS = 1000  # in a PWM period
 ROOM = 1000  # bytes of memory
 NEW = Feature.CAPTURE | Feature.MEANINGS | Feature.WAVEFORM
 VOLATILE = Flag.PARAMETER | Flag.VOLATILE
-RAW = {
-    RawType.U8: 251, RawType.I8: 251, RawType.U16: 65521, RawType.I16: 65521, RawType.U32: 1 << 32, RawType.I32: 1 << 32,
-    RawType.F32: 1 << 32,
-}  # fmt: skip
-"""The values of each type's channel come round after so many."""
 KINDS = tuple(
     Signal(10 + raw, f"as_{raw.name.lower()}", Unit.A, raw, scale, Flag.CHANNEL | Flag.ON_REQUEST, "", offset)
     for raw, scale, offset in (
@@ -249,7 +244,8 @@ def test_c_captures_what_python_captures(seed: int) -> None:
     chance = Random(seed)
     edges = chance.choice([0.02, 0.3])
     near_the_end = (1 << 32) - chance.randint(1, 400) * TICKS + 3  # of what 32 bits of ticks can count
-    pair = Pair(chance.choice([Capturing, Few]), NEW | Feature.EDGES * chance.randint(0, 1), chance.choice([77, near_the_end]))
+    features = NEW | Feature.EDGES * chance.randint(0, 1)
+    pair = Pair(chance.choice([Capturing, Few]), features, chance.choice([77, near_the_end]))
     for _ in range(40):
         match chance.randint(0, 16):
             case 0:

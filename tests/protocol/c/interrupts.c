@@ -26,6 +26,7 @@ static struct hbp device;
 static struct hbp_config config;
 static struct hbp_parameter parameters[4];
 static struct app app;
+static uint8_t memory[700]; /* for captures */
 
 static volatile uint64_t period; /* the interrupt's: periods that are done */
 static volatile uint32_t edges;
@@ -137,7 +138,8 @@ struct stream {
 static struct stream streams[HBP_STREAMS];
 static int answered;
 static uint32_t lost, losing; /* frames that gaps tell of; whether this session had any */
-static unsigned long n_samples, n_edges, n_sessions, n_lost;
+static unsigned long n_samples, n_edges, n_sessions, n_lost, n_captures;
+static uint8_t reply[HBP_TX_MAX]; /* to the last request */
 static uint16_t tid;
 
 static void check_samples(const uint8_t *payload, struct stream *s)
@@ -188,6 +190,7 @@ static void frame(const uint8_t *body)
     if (body[1] & 0x10u) {
         REQUIRE(!(body[1] & 0x20u) && get(body + 2, 2) == tid);
         answered = 1;
+        memcpy(reply, payload, get(body + 4, 2));
         if (body[0] != HBP_TYPE_STREAM_SET) return;
         streams[payload[0]].cfg_id = (uint16_t)get(payload + 2, 2);
         streams[payload[0]].block = (uint16_t)get(payload + 6, 2);
@@ -220,7 +223,7 @@ static void look(void)
 static void turn(size_t most)
 {
     INTERRUPTED(hbp_poll(&link_, now()));
-    if (!dma) INTERRUPTED(take_bytes(most));
+    if (!dma || steps == 0) INTERRUPTED(take_bytes(most)); /* no interrupt comes any more once all steps are done */
     look();
 }
 
@@ -248,6 +251,65 @@ static void set_stream(uint8_t number, struct stream *s)
     ask(HBP_TYPE_STREAM_SET, payload, 8u + 2u * s->channels);
 }
 
+/* A capture that was armed before, whatever has come meanwhile: its records are the right ones, without a gap, and so are its edges. */
+static void look_at_capture(void)
+{
+    static uint8_t blob[sizeof memory];
+    uint8_t part[8] = {1, 0, 0xFF};
+    uint32_t size, records, n_edges_held, index, step, first_edge, tick, last, ids;
+    uint16_t take[FEW];
+    const uint8_t *at = blob;
+    for (unsigned k = 0; k < 400; k++) {
+        ask(HBP_TYPE_CAPTURE_STATUS, NULL, 0);
+        if (reply[0] != HBP_CAPTURE_TRIGGERED) break;
+        if (steps >= 0) interrupt(); /* else they come by themselves */
+        turn(1000);
+    }
+    if (reply[0] != HBP_CAPTURE_FROZEN) return;
+    size = get(reply + 36, 4), records = get(reply + 20, 4), n_edges_held = get(reply + 24, 4), first_edge = get(reply + 32, 4);
+    step = get(reply + 4, 2), index = get(reply + 56, 4) - get(reply + 16, 4) * step, last = index + (records - 1u) * step;
+    ids = get(reply + 64, 2);
+    for (uint32_t k = 0; k < ids; k++) take[k] = (uint16_t)get(reply + 66 + 2 * k, 2);
+    REQUIRE(size == get(reply + 6, 2) * records + 8u * n_edges_held && records == get(reply + 16, 4) + get(reply + 12, 4));
+    n_captures++;
+    {
+        uint32_t crc = get(reply + 40, 4);
+        for (uint32_t offset = 0; offset < size; offset += get(reply + 2, 2)) {
+            put(part + 4, offset, 4);
+            ask(HBP_TYPE_BLOB_READ, part, 8);
+            memcpy(blob + offset, reply + 12, get(reply + 2, 2));
+        }
+        REQUIRE(crc32(blob, size) == crc);
+    }
+    for (uint32_t k = 0; k < records; k++)
+        for (uint32_t c = 0; c < ids; at += channel_bytes(take[c]), c++)
+            REQUIRE(get(at, channel_bytes(take[c])) == value_at(take[c], index + k * step));
+    for (uint32_t k = 0; k < n_edges_held; k++, at += 8) {
+        tick = get(at, 4);
+        REQUIRE((int32_t)(tick - index * TICKS) >= 0 && (int32_t)(last * TICKS - tick) >= 0);
+        if (edges - (first_edge + k) < KEPT) REQUIRE(tick == edge_ticks[(first_edge + k) % KEPT]);
+    }
+}
+
+static void arm_capture(void)
+{
+    uint8_t arm[32] = {0};
+    ask(HBP_TYPE_CAPTURE_ARM, arm, 22); /* what was held is given up */
+    REQUIRE(reply[0] == HBP_CAPTURE_ARMED || reply[0] == HBP_CAPTURE_TRIGGERED);
+    if (below(4) == 0) return;
+    arm[0] = (uint8_t)(below(2) ? HBP_TRIGGER_NOW : HBP_TRIGGER_ABOVE + below(10));
+    arm[2] = (uint8_t)(1u + below(3));
+    arm[4] = (uint8_t)below(20);
+    arm[8] = (uint8_t)(1u + below(20));
+    put(arm + 12, 0x3F000000u, 4); /* 0.5 */
+    arm[16] = (uint8_t)(1u + below(5));
+    arm[18] = (uint8_t)below(20);
+    arm[20] = 5;
+    for (unsigned k = 0; k < 5; k++) arm[22 + 2 * k] = (uint8_t)(1u + k);
+    if (arm[0] > HBP_TRIGGER_PULSE) arm[0] = HBP_TRIGGER_FAULT;
+    ask(HBP_TYPE_CAPTURE_ARM, arm, sizeof arm);
+}
+
 /* Streams from their configuration to their end. */
 static void session(void)
 {
@@ -264,6 +326,8 @@ static void session(void)
         for (unsigned c = 0; c < s->channels; c++) s->ids[c] = (uint8_t)(1u + (c + k) % 5u);
         set_stream(k, s);
     }
+    arm_capture();
+    if (below(4) == 0) hbp_fault(&device, HBP_FAULT_HALL << below(2));
     before = hbp_dropped(&device);
     for (unsigned k = 0; k < HBP_STREAMS; k++) streams[k].after = 0xFFFFFFFFu / 2u + edges; /* any, until it is known */
     ask(HBP_TYPE_STREAM_START, mask, 4);
@@ -298,6 +362,7 @@ static void session(void)
         REQUIRE(lost <= hbp_dropped(&device) - before);
     }
     n_lost += lost;
+    look_at_capture();
     for (unsigned k = 0; k < HBP_STREAMS; k++) REQUIRE(!device.streams[k].running && device.streams[k].head == device.streams[k].tail);
     n_sessions++;
 }
@@ -310,6 +375,8 @@ int main(int argc, char **argv)
     struct timespec began, at;
     if (argc > 3) random_state = strtoull(argv[3], NULL, 10), chance += (uint32_t)random_state;
     configure_drive(&config, parameters, &app, 1, HBP_FEATURE_EDGES);
+    config.capture = memory;
+    config.capture_bytes = sizeof memory;
     hbp_link_init(&link_, 0.0f);
     REQUIRE(!hbp_add(&link_, &device, &config, BOOT));
     clock_gettime(CLOCK_MONOTONIC, &began);
@@ -333,7 +400,7 @@ int main(int argc, char **argv)
         session();
         clock_gettime(CLOCK_MONOTONIC, &at);
     } while (step ? steps > 0 : at.tv_sec - began.tv_sec < amount);
-    printf("%lu sessions, %lu periods, %lu samples, %lu edges, %lu frames lost and counted\n", n_sessions, (unsigned long)period,
-           n_samples, n_edges, n_lost);
+    printf("%lu sessions, %lu periods, %lu samples, %lu edges, %lu frames lost and counted, %lu captures\n", n_sessions, (unsigned long)period,
+           n_samples, n_edges, n_lost, n_captures);
     return 0;
 }

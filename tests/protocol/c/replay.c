@@ -19,6 +19,8 @@ static struct hbp_config config;
 static struct hbp_parameter parameters[4];
 static struct hbp_can_bus bus;
 static struct app app;
+static uint8_t memory[4096];   /* for captures */
+static int16_t waveform[256];
 
 static void begin(uint32_t features)
 {
@@ -29,6 +31,15 @@ static void begin(uint32_t features)
     can = NULL;
     device = malloc(sizeof *device);
     configure_drive(&config, parameters, &app, 1, features);
+    if (features & HBP_FEATURE_CAPTURE) {
+        config.capture = memory;
+        config.capture_bytes = sizeof memory;
+    }
+    if (features & HBP_FEATURE_WAVEFORM) {
+        config.waveform = waveform;
+        config.waveform_length = 256;
+    }
+    if (features & HBP_FEATURE_MEANINGS) config.meanings = "hall what the sensors say\n";
     config.commit = features & HBP_FEATURE_COMMIT ? app_commit : NULL;
 }
 

@@ -65,7 +65,8 @@ def test_vectors_do_no_harm(replay: Callable[[list[str]], list[list[str]]]) -> N
             lines += ["new 1", f"rx {case['wire_hex'][:cut]}", f"rx {case['wire_hex'][cut:]}"]
             damaged[len(lines) - 1] = case
     for case in VECTORS["exchanges"]:
-        lines += ["new 1", *[f"rx {case['request_hex']}"] * 2, "fault 2", f"rx {case['request_hex']}"]
+        for features in ("1", "69"):  # and with captures, meanings and a waveform
+            lines += [f"new {features}", *[f"rx {case['request_hex']}"] * 2, "fault 2", f"rx {case['request_hex']}"]
     for case in VECTORS["sequences"]:
         lines += [f"new {case['features']:x}", *(f"rx {step['request_hex']}" for step in case["steps"])]
     for case in (*VECTORS["messages"], *VECTORS["streams"]):

@@ -59,12 +59,12 @@ int main(void)
     WRONG(parameters[1].initial = 3, HBP_WRONG_PARAMETER_RANGE | 1)
     WRONG(parameters[1].value = NULL, HBP_WRONG_PARAMETER_VALUE | 1)
     WRONG(parameters[1].id = 1, HBP_WRONG_PARAMETER_TWICE | 1)
-    WRONG((c.capture = memory, c.capture_bytes = 24), HBP_WRONG_CAPTURE) /* less than five records */
+    WRONG((c.capture = memory, c.capture_bytes = 9), HBP_WRONG_CAPTURE) /* less than five records of one channel */
     WRONG((c.capture = memory, c.capture_bytes = 0x80000000u), HBP_WRONG_CAPTURE)
     WRONG((c.capture = memory, c.capture_bytes = 99, c.fault_channels = ids, c.n_fault_channels = 3), HBP_WRONG_CAPTURE)
-    WRONG((c.capture = memory, c.capture_bytes = 99, c.fault_channels = ids, c.n_fault_channels = 2), 0)
+    WRONG((c.capture = memory, c.capture_bytes = 14, c.fault_channels = ids, c.n_fault_channels = 2), HBP_WRONG_CAPTURE)
     WRONG((c.waveform = samples, c.waveform_length = 255), HBP_WRONG_WAVEFORM)
-    WRONG((c.waveform = samples, c.waveform_length = 256, c.capture = memory, c.capture_bytes = 25), 0)
+    WRONG((c.waveform = samples, c.waveform_length = 256, c.capture = memory, c.capture_bytes = 10), 0)
     WRONG(, 0)
     return 0;
 }

@@ -67,7 +67,7 @@ static const struct hbp_parameter parameters[] = {
     {107, HBP_UNIT_NONE, HBP_FLAG_IDLE_ONLY | HBP_FLAG_WHOLE, 0.0f, 7.0f, 0.0f, &hall_invert, "hall_invert_hat"},
 };
 
-static uint8_t memory[48u << 10]; /* for captures: 0.25 s of all channels at 20 kHz take 30 KiB, a quarter of this chip's memory and more */
+static uint8_t memory[48u << 10]; /* for captures */
 
 static void outputs_off(void)
 {
