@@ -48,6 +48,7 @@ OTHER_DECIMATION = 3  # times that of the first capture
 COMMON = 12  # samples that a capture and a stream have in common
 AROUND = 40  # records before a trigger, and from it on
 SPARSE = 50  # a decimation
+SELDOM = 0.1  # share of the periods that a level is above, or below
 RARE = 0.06  # share of the periods in which a condition is met that is looked for with it
 OFTEN = 4  # captures of it
 KINDS = (
@@ -319,12 +320,22 @@ def met(kind: CaptureTrigger, values: NDArray[np.float64], level: float) -> NDAr
     """In which of consecutive periods a condition of SPEC's table holds; the first has none before it."""
     before = np.concatenate([values[:1], values[:-1]])
     if kind == CaptureTrigger.CHANGES:
-        return np.not_equal(values, before)
+        changes: NDArray[np.bool_] = values != before
+        return changes
     above = kind in (CaptureTrigger.ABOVE, CaptureTrigger.RISES)
     now, was = (values > level, before > level) if above else (values < level, before < level)
     if kind in (CaptureTrigger.ABOVE, CaptureTrigger.BELOW):
         was = np.zeros_like(was)
-    return np.logical_and(now, ~was)
+    found: NDArray[np.bool_] = now & ~was
+    return found
+
+
+def _level(values: NDArray[np.float64], share: float) -> float:
+    """A level that about this share of some values is below, and none of them on."""
+    ordered = np.unique(values)
+    below = int(np.searchsorted(np.cumsum([np.mean(values == each) for each in ordered]), share))
+    below = min(max(below, 0), len(ordered) - 2)
+    return float(ordered[below] + ordered[below + 1]) / 2
 
 
 @check("channel-triggers", "19.18 19.20 19.21 19.24")
@@ -332,19 +343,16 @@ def channel_triggers(device: Device) -> Iterator[str]:
     """The trigger's record is the first that fulfils the condition, for each condition on a channel."""
     require_capture(device)
     channel, values = _moving(device)
-    ordered = np.unique(values)
-    level = float(ordered[len(ordered) // 2 - 1] + ordered[len(ordered) // 2]) / 2
     around = min(AROUND, fitting_records(device, [channel]) // 2)
     for kind in KINDS:
+        level = _level(values, SELDOM if kind in (CaptureTrigger.BELOW, CaptureTrigger.RISES) else 1 - SELDOM)
         request = CaptureArm(kind, 0, 1, around, around, level, channel.id, channels=(channel.id,))
-        for _ in range(OFTEN):  # the first period has none before it
+        for _ in range(OFTEN if kind in BY_TWO else 1):
             found = captured(device, request)
-            if found.reply.first or kind not in BY_TWO:
-                break
-        else:
-            raise Failed(
-                f"{kind.name} of {channel.name}: in each of {OFTEN} captures the first record is the trigger's"
-            )
+            if kind in BY_TWO and not found.reply.first:
+                raise Failed(
+                    f"{kind.name} of {channel.name}: the first period is the trigger's, and has none before it"
+                )
         first, seen = found.reply.first, met(kind, found.values(channel), level)
         words = f"{kind.name} of {channel.name}, level {level:.6g}, {first} records before the trigger's"
         if found.reply.trigger != kind or first > around:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bench.conform.captured import armed, fitting_records, frozen, give_up, require_capture, taken
 from bench.conform.checks import Group
-from bench.conform.data import by_index, split_sample
+from bench.conform.data import by_index, periods, split_sample, unwrapped
 from bench.conform.device import ALL, Configured, Device, ids
 from bench.conform.levels import STREAMS
 from bench.conform.verdicts import Failed, Unknown
@@ -55,7 +55,7 @@ def every_period(device: Device, chosen: Sequence[Channel]) -> dict[int, bytes]:
     return by_index(device, told, tuple(chosen))
 
 
-@check("means", "11.51")
+@check("means", "11.51 11.10")
 def means(device: Device) -> str:
     """A record of MEAN holds the mean of the raw values over its periods, the last value of what has no unit."""
     return means_beside(device)
@@ -75,7 +75,10 @@ def means_beside(device: Device, meanwhile: Callable[[Configured], None] = lambd
     device.probe.listen(WATCHED / 2)
     device.stop_streams()
     as_floats = tuple(replace(channel, raw=RawType.F32) for channel in chosen)
-    found = by_index(device, told, as_floats)
+    found, now = by_index(device, told, as_floats), periods(device, told)
+    for index in found:
+        if unwrapped(index, now) % told.asked.decimation:
+            raise Failed(f"index {index} of a record of MEAN is not divisible by {told.asked.decimation}")
     return _compared(told, chosen, found, samples)
 
 

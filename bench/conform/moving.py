@@ -93,7 +93,7 @@ def _same_edges(device: Device, found: Captured, streamed: list[Edge], room: int
 
 @commission("nothing-jumps", "20.11 20.10")
 def nothing_jumps(device: Device) -> Iterator[str]:
-    """With u_test_max lowered to next to nothing, a voltage that is further away than it is rejected."""
+    """With u_test_max lowered to next to nothing, a voltage beyond it, or further away than it, is rejected."""
     device.require(Feature.COMMISSION)
     record = require(device, "u_test_max")
     resistance, largest = device.named("R_s_hat"), device.named("i_max")
@@ -113,7 +113,7 @@ def nothing_jumps(device: Device) -> Iterator[str]:
             raise Unknown(f"VOLTAGE 0 was not accepted, u_test_max is {limit:.3g} V")
         if not is_taken(device, SetpointMode.VOLTAGE, 1, 0.0, volts):
             raise Failed(f"VOLTAGE 0, {volts:.3g} V from 0 was rejected, u_test_max is {limit:.3g} V")
-        for n, (u_q, u_d) in enumerate(((0.0, -volts), (volts, -0.5 * volts)), 2):
+        for n, (u_q, u_d) in enumerate(((0.0, -volts), (volts, -0.5 * volts), (volts, volts)), 2):
             what = f"VOLTAGE {u_q:.3g}, {u_d:.3g} V from 0, {volts:.3g} V"
             yield rejected(device, what, (SetpointMode.VOLTAGE, n, u_q, u_d), ErrorCode.OUT_OF_RANGE, limit)
         if not is_taken(device, SetpointMode.VOLTAGE, 9):
