@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bench.conform.blobs import WAVEFORM, written
 from bench.conform.captured import physical
 from bench.conform.checks import Group
-from bench.conform.data import by_index
+from bench.conform.data import by_index, split_sample
 from bench.conform.device import ALL, PATIENCE, Device, ids, require_granted
 from bench.conform.levels import STATES
 from bench.conform.means import every_period
@@ -43,6 +43,7 @@ FEW = 20  # VOLTAGEs of zero until one is near enough to what the current loop g
 TURNED, STILL = 1.0, 0.05  # rad by which encoder_zero is changed, and by which a shaft at rest may move
 TINY = 1e-6  # A²s
 TRIPS = 1.0  # s in which the noise of a current sensor makes that
+SURE = 10.0  # times that, with which it must have tripped
 
 
 def require(device: Device, name: str) -> Channel:
@@ -366,6 +367,17 @@ def encoder_zero(device: Device) -> str:
     return words
 
 
+def _square(device: Device) -> float:
+    """The mean square of the current vector in A², as i_d and i_q show it now; 0 where there are no such channels."""
+    found = [channel for channel in device.channels if channel.name in ("i_d", "i_q")]
+    if len(found) < 2:
+        return 0.0
+    samples = every_period(device, found)
+    rows = [split_sample(sample, tuple(found)) for sample in samples.values()]
+    columns = [physical(channel, b"".join(row[at] for row in rows)) for at, channel in enumerate(found)]
+    return float(np.mean(columns[0] ** 2 + columns[1] ** 2))
+
+
 @check("overload", "20.2 20.1")
 def overload(device: Device) -> str:
     """With i_cont 0 and next to no i2t_max, what the current sensors show at zero current trips OVERLOAD."""
@@ -379,6 +391,8 @@ def overload(device: Device) -> str:
         try:
             beat = device.probe.beat(lambda beat: beat.state == DriveState.FAULT, TRIPS, "with FAULT ")
         except Unknown as nothing:
+            if (square := _square(device)) * TRIPS > SURE * TINY:
+                raise Failed(f"i_cont 0, i2t_max {TINY:g} A²s, a mean square of {square:.3g} A²: {nothing}") from None
             raise Unknown(f"{nothing}: perhaps its sensors show no current at all") from None
         if not beat.faults & Fault.OVERLOAD:
             raise Failed(f"i2t_max {TINY:g} A²s led to faults 0x{int(beat.faults):x}, not OVERLOAD")

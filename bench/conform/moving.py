@@ -43,7 +43,7 @@ def means(device: Device) -> str:
         return means_beside(device, turn)
 
 
-@capture("edges", "19.24 19.26")
+@capture("edges", "19.24 19.26 19.29")
 def edges(device: Device) -> Iterator[str]:
     """A capture holds the edges between its first and its last record, the newest where not all have room."""
     require_capture(device)
@@ -78,7 +78,7 @@ def _same_edges(device: Device, found: Captured, streamed: list[Edge], room: int
     words = f"{len(meant)} edges were streamed between its records, it has room for {room} and holds {reply.edges}"
     if not meant:
         raise Unknown("no edges: the motor did not turn")
-    if reply.edges != min(len(meant), room) or reply.edges_lost != len(meant) - reply.edges:
+    if reply.edges != min(len(meant), room) or bool(reply.edges_lost) != (len(meant) > reply.edges):
         raise Failed(f"{words}, edges_lost is {reply.edges_lost}")
     for edge, raw in zip(meant[-reply.edges :], found.edges, strict=True):
         tick, codes, flags, encoder = struct.unpack("<IBBH", raw)
