@@ -357,7 +357,7 @@ def channel_triggers(device: Device) -> Iterator[str]:
         words = f"{kind.name} of {channel.name}, level {level:.6g}, {first} records before the trigger's"
         if found.reply.trigger != kind or first > around:
             raise Failed(f"{words}: the trigger is {found.reply.trigger.name}")
-        if first < around and seen[:first].any():  # else periods before the first record are not known
+        if seen[:first].any():
             raise Failed(f"{words}: the condition held before, in record {int(seen.argmax())}")
         if first and not seen[first]:
             raise Failed(f"{words}: the condition does not hold in the trigger's: {found.values(channel)[first]:.6g}")
