@@ -163,6 +163,8 @@ def _ring(run: Capture, sign: int) -> float:
 def _teach(drive: Drive, turning: Sequence[Capture]) -> None:
     """Tell the drive where the edges lie by the encoder, each way."""
     delta = offsets_by_encoder(turning).mean
+    farthest = math.degrees(float(np.abs(delta).max()))
+    assert farthest < 30.0, f"a Hall edge lies {farthest:.0f} deg from its place: wires or ring are not as told"
     for way, column in (("up", FORWARD), ("down", REVERSE)):
         for s in range(6):
             drive.set(f"edge_{way}_{s + 1}", float(delta[s, column]))
