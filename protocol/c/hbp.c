@@ -197,8 +197,9 @@ void hbp_event(struct hbp *h, uint32_t code, float arg, float detail)
 
 void hbp_log(struct hbp *h, uint8_t level, const char *text)
 {
-    size_t n = text_length(text), most = h->peer->tx_max - 1u;
-    if (n > most) n = most;
+    size_t n = text_length(text), most = h->peer->tx_max;
+    if (most > h->link->most_news) most = h->link->most_news;
+    if (n >= most) n = most - 1u;
     h->link->work[0] = level;
     for (size_t k = 0; k < n; k++) h->link->work[1 + k] = (uint8_t)(control(text[k]) ? ' ' : text[k]);
     send(h, HBP_RANK_NEWS, HBP_TYPE_LOG, n + 1);
@@ -422,7 +423,7 @@ static uint16_t hello(struct hbp *h, const uint8_t *in, size_t length, size_t *n
         for (unsigned k = 0; k < HBP_KEPT; k++) h->peer->kept[k].there = 0;
         h->peer->nonce = nonce;
         h->peer->rx_max = rx_max;
-        h->peer->tx_max = rx_max < HBP_TX_MAX ? rx_max : HBP_TX_MAX;
+        h->peer->tx_max = rx_max < h->link->most ? rx_max : h->link->most;
         h->peer->greeted = 1;
     }
     to = hbp_put32(hbp_put32(to, nonce), h->boot_id);
@@ -1327,7 +1328,7 @@ static struct hbp_peer *peer_of(struct hbp *h, uint8_t number)
     }
     memset(oldest, 0, sizeof *oldest);
     oldest->number = number;
-    oldest->tx_max = HBP_TX_MAX;
+    oldest->tx_max = h->link->most;
     return oldest;
 }
 
@@ -1661,6 +1662,7 @@ void hbp_link_init_sized(struct hbp_link *link, float bytes_per_s, size_t size)
     memset(link, 0, sizeof *link);
     link->base.way = &byte_way;
     link->base.capacity = bytes_per_s;
+    link->base.most = link->base.most_news = HBP_TX_MAX;
     link->skipping = 1;
 }
 

@@ -570,6 +570,7 @@ struct hbp_link_base { /* what all kinds of link have */
     uint32_t bad, ignored; /* damaged frames; frames that are replies themselves */
     volatile uint32_t expired; /* stream frames that waited too long, on CAN */
     float capacity;        /* what it carries, 0: not known */
+    uint16_t most, most_news; /* bytes of a payload for which its queue has room: of a reply, of a LOG */
     uint8_t nodes;
     uint8_t work[HBP_TX_MAX];
 };
