@@ -497,16 +497,16 @@ struct hbp_capture {
     /* the main loop's, and the interrupts' to read while `running` */
     uint8_t trigger;             /* as armed */
     uint8_t width, is_float;     /* of the channel that is watched, width 0: none */
-    uint8_t kind;                /* of the condition: 0 it is so, 1 it begins to be so, 2 the value changes */
     /* hbp_tick's */
-    uint8_t was, wrapped, cause;
+    uint8_t was;                 /* 1: the condition must first not be fulfilled */
+    uint8_t wrapped, cause;
     /* hbp_edge's */
     uint8_t edge_wrapped, before_last;
     uint16_t edge_to;            /* where the next edge goes */
     uint16_t skip;               /* hbp_tick's: periods without a record before the next one */
     /* the main loop's, as above */
     uint16_t decimation, record_bytes, edge_room, at, runs, channels, number;
-    uint32_t low, span, flip;    /* a raw value exclusive-or `flip` fulfils the condition from `low` to `low + span`; hbp_tick's for change */
+    uint32_t low, span;          /* a value, made to fill 32 bits, fulfils the condition from `low` to `low + span` */
     uint8_t *records;            /* behind the edges */
     uint32_t ring_bytes;         /* of all records */
     uint32_t before, after;

@@ -15,7 +15,6 @@
 #define HEAD 22u          /* of CAPTURE_ARM */
 #define REPLY_HEAD 66u
 #define ILLEGAL 0x40u
-#define CHANGE 2u         /* kind of a condition */
 #define NO_CODE 0xFFu
 #define SIGN 0x80000000u
 #define INFINITE 0x7F800000u
@@ -25,13 +24,7 @@ enum { FIRST, RECORDS, EDGES, EDGES_LOST, FIRST_EDGE, SIZE, CRC, ROOM, TICK, TIC
 
 /* ---- conditions on a channel: a range of its raw values, so that the interrupt compares whole numbers ------------------------ */
 
-/* A raw value as a number that grows with what it means; `flip` is of its type. */
-static uint32_t key_of(uint32_t raw, uint32_t flip, int is_float)
-{
-    uint32_t key = raw ^ flip;
-    return is_float && (raw & SIGN) ? key ^ (SIGN - 1u) : key;
-}
-
+/* What the values of a type are exclusive-or'd with to be in order from 0 on. */
 static uint32_t flip_of(uint8_t type)
 {
     switch (type) {
@@ -41,6 +34,26 @@ static uint32_t flip_of(uint8_t type)
     case HBP_RAW_F32: return SIGN;
     default: return 0;
     }
+}
+
+/* By which a value fills 32 bits: there signed ones are in order as others are, but for where they begin. */
+static uint32_t shift_of(const struct hbp_capture *c)
+{
+    return 32u - 8u * c->width;
+}
+
+static uint32_t value_in(const struct hbp_capture *c, const uint8_t *sample)
+{
+    const uint8_t *from = sample + c->at;
+    uint32_t raw;
+    uint16_t half;
+    if (c->width == 2u) {
+        memcpy(&half, from, sizeof half);
+        return (uint32_t)half << 16;
+    }
+    if (c->width == 1u) return (uint32_t)*from << 24;
+    memcpy(&raw, from, sizeof raw);
+    return c->is_float && (raw & SIGN) ? raw ^ (SIGN - 1u) : raw;
 }
 
 static float physical(const struct hbp_channel *channel, uint32_t key)
@@ -56,10 +69,10 @@ static float physical(const struct hbp_channel *channel, uint32_t key)
     return raw * channel->scale + channel->offset;
 }
 
-/* The range of keys that are above `level`, or below it: it ends where those of the type end. */
+/* The values that are above `level`, or below it: a range that ends where those of the type end. */
 static void find_range(struct hbp_capture *c, const struct hbp_channel *channel, float level, int above)
 {
-    uint32_t least = 0, most = 0xFFFFFFFFu >> (32u - 8u * hbp_widths[channel->type]), low, high;
+    uint32_t shift = shift_of(c), least = 0, most = 0xFFFFFFFFu >> shift, low, high;
     int rising = (channel->scale > 0.0f) == above;
     if (channel->type == HBP_RAW_F32) {
         least = ~(INFINITE | SIGN);
@@ -81,6 +94,8 @@ static void find_range(struct hbp_capture *c, const struct hbp_channel *channel,
         if (there == rising) high = middle;
         else low = middle + 1u;
     }
+    c->low = (c->low ^ flip_of(channel->type)) << shift;
+    c->span <<= shift;
 }
 
 /* ---- arming ---------------------------------------------------------------------------------------------------------------- */
@@ -93,12 +108,9 @@ static void watch(struct hbp *h, uint8_t trigger, uint16_t id, float level)
     if (trigger < HBP_TRIGGER_ABOVE || trigger > HBP_TRIGGER_CHANGES || !channel) return;
     c->width = hbp_widths[channel->type];
     c->is_float = channel->type == HBP_RAW_F32;
-    c->kind = (uint8_t)(trigger == HBP_TRIGGER_CHANGES ? CHANGE : trigger >= HBP_TRIGGER_RISES);
-    c->flip = flip_of(channel->type);
     c->at = channel->at;
-    c->was = c->kind;
-    c->low = 0, c->span = 0xFFFFFFFFu;
-    if (c->kind != CHANGE) find_range(c, channel, level, trigger == HBP_TRIGGER_ABOVE || trigger == HBP_TRIGGER_RISES);
+    c->was = trigger == HBP_TRIGGER_RISES || trigger == HBP_TRIGGER_FALLS;
+    if (trigger != HBP_TRIGGER_CHANGES) find_range(c, channel, level, trigger == HBP_TRIGGER_ABOVE || trigger == HBP_TRIGGER_RISES);
 }
 
 /* Channels that stand side by side in the sample too are copied at once. */
@@ -219,7 +231,7 @@ static uint16_t wrong(const struct hbp *h, const uint8_t *in, uint32_t *bytes, f
     return before > fits || after > fits - before ? HBP_ERROR_DOES_NOT_FIT : 0;
 }
 
-uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     struct hbp_capture *c = h->capture;
     uint32_t bytes;
@@ -235,15 +247,15 @@ uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t length, size_t
         if (code) return code;
         begin(h, in, bytes);
     }
-    return hbp_capture_status(h, in, length, n, detail);
+    return hbp_capture_status(h, in, n, detail);
 }
 
-uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     const struct hbp_capture *c = h->capture;
     uint8_t *to = h->link->work, asked = c->calls.by.asked, state = c->state;
     uint32_t most = (h->peer->tx_max - REPLY_HEAD) / ID_BYTES, channels = c->channels < most ? c->channels : most;
-    (void)in, (void)length, (void)detail;
+    (void)in, (void)detail;
     if (state != HBP_CAPTURE_ARMED) asked = c->cause;
     else if (asked) state = HBP_CAPTURE_TRIGGERED;
     *to++ = state;
@@ -270,29 +282,19 @@ void hbp_capture_ask(struct hbp *h, uint8_t trigger)
     c->calls.by.asked = trigger;
 }
 
+/* Every value but the first one. */
+static void watch_change(struct hbp_capture *c, const uint8_t *sample)
+{
+    uint32_t step = 1u << shift_of(c);
+    c->low = value_in(c, sample) + step;
+    c->span = 0u - 2u * step;
+}
+
 static int condition(struct hbp_capture *c, const uint8_t *sample)
 {
-    const uint8_t *from = sample + c->at;
-    uint32_t raw, key;
-    uint16_t half;
-    uint8_t in, was = c->was;
-    if (c->width == 2u) {
-        memcpy(&half, from, sizeof half);
-        key = half ^ c->flip;
-    } else if (c->width == 1u) {
-        key = *from ^ c->flip;
-    } else {
-        memcpy(&raw, from, sizeof raw);
-        key = key_of(raw, c->flip, c->is_float);
-    }
-    in = key - c->low <= c->span;
-    if (c->kind == CHANGE) {
-        c->low = key;
-        c->span = 0;
-        return !in;
-    }
-    c->was = in & c->kind;
-    return in & !was;
+    if (value_in(c, sample) - c->low <= c->span) return !c->was;
+    c->was = 0;
+    return 0;
 }
 
 static void take(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
@@ -343,12 +345,13 @@ static void trigger(struct hbp *h, struct hbp_capture *c, uint8_t cause, uint32_
 }
 
 /* Something but a channel tells that the trigger has come; where an edge tells, perhaps only with a later period. */
-static void called(struct hbp *h, struct hbp_capture *c)
+static void called(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
 {
     uint32_t tick = (uint32_t)h->config->tick0 + (uint32_t)h->index * h->period, late = tick - c->asked_tick;
     if (c->calls.by.fresh) {
         c->skip = (uint16_t)(hbp_rounded_up(h->index, c->decimation) * c->decimation - (uint32_t)h->index);
         c->calls.by.fresh = 0;
+        if (c->width && c->trigger == HBP_TRIGGER_CHANGES) watch_change(c, sample);
     }
     if (c->state != HBP_CAPTURE_ARMED) return;
     if (c->calls.by.raised) trigger(h, c, HBP_TRIGGER_FAULT, 0);
@@ -359,7 +362,7 @@ static void called(struct hbp *h, struct hbp_capture *c)
 void hbp_capture_tick(struct hbp *h, const uint8_t *sample)
 {
     struct hbp_capture *c = h->capture;
-    if (c->calls.any) called(h, c);
+    if (c->calls.any) called(h, c, sample);
     if (c->width && condition(c, sample)) trigger(h, c, c->trigger, 0);
     if (c->skip) {
         c->skip--;
