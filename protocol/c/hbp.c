@@ -1013,7 +1013,7 @@ void hbp_tick(struct hbp *h, const void *sample)
         take(h, s, index, sample);
     }
 #if HBP_CAPTURE
-    if (h->capture && h->capture->running) hbp_capture_tick(h, sample);
+    if (h->captured.running) hbp_capture_tick(h, sample);
 #endif
     h->index++;
     h->periods = (uint32_t)h->index;
@@ -1039,7 +1039,7 @@ void hbp_edge(struct hbp *h, uint32_t tick, uint8_t before, uint8_t after, uint1
         h->edge_head = (uint16_t)(head + 1u);
     }
 #if HBP_CAPTURE
-    if (h->capture && h->capture->running) hbp_capture_edge(h, tick, codes, encoder);
+    if (h->captured.running) hbp_capture_edge(h, tick, codes, encoder);
 #endif
     h->edges++;
 }

@@ -496,25 +496,27 @@ struct hbp_capture {
     volatile uint8_t state;      /* the main loop's; hbp_tick makes ARMED TRIGGERED */
     /* the main loop's, and the interrupts' to read while `running` */
     uint8_t trigger;             /* as armed */
-    uint8_t width, is_float;     /* of the channel that is watched, width 0: none */
+    uint8_t width;               /* of the channel that is watched, 0: none */
     /* hbp_tick's */
-    uint8_t was;                 /* 1: the condition must first not be fulfilled */
-    uint8_t wrapped, cause;
+    uint8_t leaves;              /* 1: the range is that which must be left before the condition counts */
+    uint8_t rounds, cause;       /* rounds of the ring of records: 0, 1, or more than one has been begun */
     /* hbp_edge's */
     uint8_t edge_wrapped, before_last;
     uint16_t edge_to;            /* where the next edge goes */
     uint16_t skip;               /* hbp_tick's: periods without a record before the next one */
     /* the main loop's, as above */
-    uint16_t decimation, record_bytes, edge_room, at, runs, channels, number;
+    uint16_t decimation, every, record_bytes, edge_room, at, channels, number; /* every: periods between two records */
+    uint32_t turned;             /* bits of a negative value of that channel to be inverted */
     uint32_t low, span;          /* a value, made to fill 32 bits, fulfils the condition from `low` to `low + span` */
-    uint8_t *records;            /* behind the edges */
+    uint8_t *records, *end;      /* the ring behind the edges */
+    const struct hbp_run *runs_end;
     uint32_t ring_bytes;         /* of all records */
     uint32_t before, after;
     volatile uint32_t asked_tick, asked_faults;
     uint32_t pulse;              /* ticks */
     uint32_t room;               /* bytes of memory, 0: there is no capture */
     /* hbp_tick's */
-    uint32_t to;                 /* where the next record goes */
+    uint8_t *to;                 /* where the next record goes; `end`: the ring's beginning */
     uint32_t left;               /* records still to be taken after the trigger */
     uint32_t back;               /* records that had been taken from the trigger's on when it was seen */
     uint32_t faults;             /* at the trigger */
@@ -538,6 +540,7 @@ struct hbp { /* a device */
     struct hbp *other; /* the next one on the link */
 #if HBP_CAPTURE
     struct hbp_capture *capture; /* null: no memory for it */
+    struct hbp_capture captured;
 #endif
     uint32_t features, boot_id, schema_crc, period; /* period: ticks of a PWM period */
     uint64_t now, fed, armed, next_heartbeat;
@@ -559,9 +562,6 @@ struct hbp { /* a device */
     volatile uint32_t edges; /* since boot */
     volatile uint16_t edge_head, edge_tail;
     struct hbp_hall_edge ring[HBP_EDGES];
-#if HBP_CAPTURE
-    struct hbp_capture captured;
-#endif
 };
 
 struct hbp_link_base { /* what all kinds of link have */

@@ -42,6 +42,19 @@ static uint32_t shift_of(const struct hbp_capture *c)
     return 32u - 8u * c->width;
 }
 
+/* From a value to the next one. */
+static uint32_t step_of(const struct hbp_capture *c)
+{
+    return 1u << shift_of(c);
+}
+
+/* The range becomes that of all other values. */
+static void take_others(struct hbp_capture *c)
+{
+    c->low += c->span + step_of(c);
+    c->span = 0u - c->span - 2u * step_of(c);
+}
+
 static uint32_t value_in(const struct hbp_capture *c, const uint8_t *sample)
 {
     const uint8_t *from = sample + c->at;
@@ -53,7 +66,12 @@ static uint32_t value_in(const struct hbp_capture *c, const uint8_t *sample)
     }
     if (c->width == 1u) return (uint32_t)*from << 24;
     memcpy(&raw, from, sizeof raw);
-    return c->is_float && (raw & SIGN) ? raw ^ (SIGN - 1u) : raw;
+    return raw ^ ((0u - (raw >> 31)) & c->turned);
+}
+
+static int fulfilled(const struct hbp_capture *c, uint32_t value)
+{
+    return value - c->low <= c->span;
 }
 
 static float physical(const struct hbp_channel *channel, uint32_t key)
@@ -107,10 +125,12 @@ static void watch(struct hbp *h, uint8_t trigger, uint16_t id, float level)
     c->width = 0;
     if (trigger < HBP_TRIGGER_ABOVE || trigger > HBP_TRIGGER_CHANGES || !channel) return;
     c->width = hbp_widths[channel->type];
-    c->is_float = channel->type == HBP_RAW_F32;
+    c->turned = channel->type == HBP_RAW_F32 ? SIGN - 1u : 0; /* negative floats are in the order of their magnitudes */
     c->at = channel->at;
-    c->was = trigger == HBP_TRIGGER_RISES || trigger == HBP_TRIGGER_FALLS;
+    c->leaves = trigger == HBP_TRIGGER_RISES || trigger == HBP_TRIGGER_FALLS;
     if (trigger != HBP_TRIGGER_CHANGES) find_range(c, channel, level, trigger == HBP_TRIGGER_ABOVE || trigger == HBP_TRIGGER_RISES);
+    if (c->leaves && c->span == 0u - step_of(c)) c->width = 0; /* it is always so, and never begins to be so */
+    if (c->leaves) take_others(c);
 }
 
 /* Channels that stand side by side in the sample too are copied at once. */
@@ -118,16 +138,17 @@ static void find_runs(struct hbp *h)
 {
     struct hbp_capture *c = h->capture;
     struct hbp_run *run = NULL;
-    c->runs = 0;
+    uint32_t runs = 0;
     for (uint32_t k = 0; k < c->channels; k++) {
         const struct hbp_channel *channel = &h->config->channels[c->take[k]];
         if (!run || run->at + run->bytes != channel->at) {
-            run = &c->run[c->runs++];
+            run = &c->run[runs++];
             run->at = channel->at;
             run->bytes = 0;
         }
         run->bytes = (uint16_t)(run->bytes + hbp_widths[channel->type]);
     }
+    c->runs_end = c->run + runs;
 }
 
 /* Begin a capture as a CAPTURE_ARM says that has been found right. */
@@ -139,6 +160,7 @@ static void begin(struct hbp *h, const uint8_t *in, uint32_t record_bytes)
     HBP_BARRIER(); /* the interrupts are out of it */
     c->trigger = c->cause = in[0];
     c->decimation = hbp_get16(in + 2);
+    c->every = (uint16_t)(c->decimation - 1u);
     c->before = hbp_get32(in + 4);
     c->after = hbp_get32(in + 8);
     c->edge_room = hbp_get16(in + 18);
@@ -147,6 +169,7 @@ static void begin(struct hbp *h, const uint8_t *in, uint32_t record_bytes)
     c->number = (uint16_t)(c->number % 0xFFFFu + 1u);
     c->records = h->config->capture + EDGE_BYTES * c->edge_room;
     c->ring_bytes = (c->before + c->after) * record_bytes;
+    c->to = c->end = c->records + c->ring_bytes; /* the first record begins the first round */
     c->pulse = ticks >= 0.0f ? ticks < 4294967040.0f ? (uint32_t)ticks : 0xFFFFFFFFu : 0;
     hbp_take_channels(h, in + HEAD, c->channels, c->take);
     find_runs(h);
@@ -154,12 +177,12 @@ static void begin(struct hbp *h, const uint8_t *in, uint32_t record_bytes)
     memset(c->told, 0, sizeof c->told);
     c->calls.any = 0;
     c->calls.by.fresh = 1;
-    c->wrapped = c->edge_wrapped = 0;
+    c->rounds = c->edge_wrapped = 0;
     c->before_last = NO_CODE;
     c->edge_to = 0;
     c->edge_end = h->edges;
     c->edges_begun = h->edges;
-    c->to = c->left = 0;
+    c->left = 0;
     c->state = HBP_CAPTURE_ARMED;
     hbp_capture_ask(h, HBP_TRIGGER_NOW);
     HBP_BARRIER();
@@ -282,28 +305,24 @@ void hbp_capture_ask(struct hbp *h, uint8_t trigger)
     c->calls.by.asked = trigger;
 }
 
-/* Every value but the first one. */
-static void watch_change(struct hbp_capture *c, const uint8_t *sample)
+/* Bytes of the records that the ring has. */
+static uint32_t held(const struct hbp_capture *c)
 {
-    uint32_t step = 1u << shift_of(c);
-    c->low = value_in(c, sample) + step;
-    c->span = 0u - 2u * step;
+    return c->rounds == 1 ? (uint32_t)(c->to - c->records) : c->rounds ? c->ring_bytes : 0;
 }
 
-static int condition(struct hbp_capture *c, const uint8_t *sample)
+static void take(struct hbp *h, const uint8_t *sample)
 {
-    if (value_in(c, sample) - c->low <= c->span) return !c->was;
-    c->was = 0;
-    return 0;
-}
-
-static void take(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
-{
-    uint32_t at = c->to;
-    uint8_t *to = c->records + at;
+    struct hbp_capture *c = h->capture;
+    uint8_t *to = c->to;
+    if (to == c->end) {
+        to = c->records;
+        c->edges_begun = h->edges;
+        c->rounds = (uint8_t)(c->rounds << 1 | 1u);
+    }
+    c->skip = c->every;
 #if HBP_LITTLE_ENDIAN
-    const struct hbp_run *end = c->run + c->runs;
-    for (const struct hbp_run *run = c->run; run < end; run++) {
+    for (const struct hbp_run *run = c->run, *end = c->runs_end; run < end; run++) {
         const uint8_t *from = sample + run->at, *words_end = from + (run->bytes & ~3u), *end_of_run = from + run->bytes;
         uint32_t word;
         for (; from != words_end; from += 4, to += 4) {
@@ -314,14 +333,9 @@ static void take(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
     }
 #else
     hbp_copy_sample(h, c->take, c->channels, sample, to);
+    to += c->record_bytes;
 #endif
-    if (!at) c->edges_begun = h->edges;
-    at += c->record_bytes;
-    if (at == c->ring_bytes) {
-        at = 0;
-        c->wrapped = 1;
-    }
-    c->to = at;
+    c->to = to;
     if (c->left && --c->left == 0) c->running = 0;
 }
 
@@ -329,7 +343,7 @@ static void take(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
 static void trigger(struct hbp *h, struct hbp_capture *c, uint8_t cause, uint32_t late)
 {
     uint32_t back = (late + c->skip) / c->decimation; /* records that were taken since */
-    uint32_t have = (c->wrapped ? c->ring_bytes : c->to) / c->record_bytes, raised = h->raised;
+    uint32_t have = held(c) / c->record_bytes, raised = h->raised;
     if (back > have) back = have;
     c->back = back;
     c->index = h->index + c->skip - (uint64_t)back * c->decimation;
@@ -345,13 +359,17 @@ static void trigger(struct hbp *h, struct hbp_capture *c, uint8_t cause, uint32_
 }
 
 /* Something but a channel tells that the trigger has come; where an edge tells, perhaps only with a later period. */
-static void called(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
+static void called(struct hbp *h, struct hbp_capture *c, uint32_t value)
 {
     uint32_t tick = (uint32_t)h->config->tick0 + (uint32_t)h->index * h->period, late = tick - c->asked_tick;
     if (c->calls.by.fresh) {
         c->skip = (uint16_t)(hbp_rounded_up(h->index, c->decimation) * c->decimation - (uint32_t)h->index);
         c->calls.by.fresh = 0;
-        if (c->width && c->trigger == HBP_TRIGGER_CHANGES) watch_change(c, sample);
+        if (c->width && c->trigger == HBP_TRIGGER_CHANGES) {
+            c->low = value;
+            c->span = 0;
+            take_others(c);
+        }
     }
     if (c->state != HBP_CAPTURE_ARMED) return;
     if (c->calls.by.raised) trigger(h, c, HBP_TRIGGER_FAULT, 0);
@@ -359,17 +377,32 @@ static void called(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
     else if (c->calls.by.edged && c->edge_tick - tick - 1u >= h->period) trigger(h, c, c->trigger, 0);
 }
 
+/* Of hbp_capture_tick, what is seldom: by itself, so that the rest needs no registers saved. `value`: of the channel that is watched. */
+void hbp_capture_called(struct hbp *h, const uint8_t *sample, uint32_t value)
+{
+    struct hbp_capture *c = h->capture;
+    if (c->calls.any) called(h, c, value);
+    if (c->width && fulfilled(c, value)) {
+        if (!c->leaves) trigger(h, c, c->trigger, 0);
+        else take_others(c);
+        c->leaves = 0;
+    }
+    if (c->skip) c->skip--;
+    else take(h, sample);
+}
+
 void hbp_capture_tick(struct hbp *h, const uint8_t *sample)
 {
     struct hbp_capture *c = h->capture;
-    if (c->calls.any) called(h, c, sample);
-    if (c->width && condition(c, sample)) trigger(h, c, c->trigger, 0);
-    if (c->skip) {
-        c->skip--;
-    } else {
-        c->skip = (uint16_t)(c->decimation - 1u);
-        take(h, c, sample);
+    uint32_t value = 0;
+    int met = 0;
+    if (c->width) {
+        value = value_in(c, sample);
+        met = fulfilled(c, value);
     }
+    if (met || c->calls.any) hbp_capture_called(h, sample, value);
+    else if (c->skip) c->skip--;
+    else take(h, sample);
 }
 
 void hbp_capture_edge(struct hbp *h, uint32_t tick, uint8_t codes, uint16_t encoder)
@@ -436,13 +469,13 @@ static void find_edges(struct hbp *h, uint32_t last_tick, uint64_t span, uint32_
 static void find_blob(struct hbp *h)
 {
     struct hbp_capture *c = h->capture;
-    uint32_t bytes = c->record_bytes, have = (c->wrapped ? c->ring_bytes : c->to) / bytes;
+    uint32_t bytes = c->record_bytes, have = held(c) / bytes, end = (uint32_t)(c->to - c->records) % c->ring_bytes;
     uint32_t behind = c->back > c->after ? c->back - c->after : 0; /* records that are newer than what was asked for */
     uint32_t first = have - (behind + c->after), records;
     uint64_t tick = h->config->tick0 + c->index * h->period;
     if (first > c->before) first = c->before;
     records = first + c->after;
-    c->start = later(c->to, c->ring_bytes - (behind + records) * bytes, c->ring_bytes);
+    c->start = later(end, c->ring_bytes - (behind + records) * bytes, c->ring_bytes);
     c->told[FIRST] = first;
     c->told[RECORDS] = records;
     c->told[TICK] = (uint32_t)tick;
