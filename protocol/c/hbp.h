@@ -97,8 +97,8 @@
  * core that runs the main loop, and 32-bit loads and stores are whole.
  *
  * TIME OF THE INTERRUPTS.  hbp_tick copies the chosen channels of each running stream: on a Cortex-M4, compiled for size, 50 instructions, 45
- * for each running stream of samples and 21 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 54,
- * hbp_may_run 17 and hbp_raise 22. While a capture waits, 19 to 43 more, and the copying of its record; hbp_edge then takes 133. CRC and COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
+ * for each running stream of samples and 17 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 54,
+ * hbp_may_run 17 and hbp_raise 22. While a capture waits, 40 more, and the copying of its record; hbp_edge then takes 102. CRC and COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
  *
  * WHAT IS LOST IS COUNTED.  Samples wait in blocks, one being filled by the interrupt, until the transmit queue has room. A block that
  * finds no free place is dropped whole, and counted: `tx_dropped`, the gap in `seq`, OVERRUN.

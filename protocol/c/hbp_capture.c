@@ -60,13 +60,13 @@ static uint32_t value_in(const struct hbp_capture *c, const uint8_t *sample)
     const uint8_t *from = sample + c->at;
     uint32_t raw;
     uint16_t half;
-    if (c->width == 2u) {
-        memcpy(&half, from, sizeof half);
-        return (uint32_t)half << 16;
+    if (c->width > 2u) {
+        memcpy(&raw, from, sizeof raw);
+        return raw ^ ((0u - (raw >> 31)) & c->turned);
     }
-    if (c->width == 1u) return (uint32_t)*from << 24;
-    memcpy(&raw, from, sizeof raw);
-    return raw ^ ((0u - (raw >> 31)) & c->turned);
+    if (c->width < 2u) return (uint32_t)*from << 24;
+    memcpy(&half, from, sizeof half);
+    return (uint32_t)half << 16;
 }
 
 static int fulfilled(const struct hbp_capture *c, uint32_t value)
@@ -311,18 +311,18 @@ static uint32_t held(const struct hbp_capture *c)
     return c->rounds == 1 ? (uint32_t)(c->to - c->records) : c->rounds ? c->ring_bytes : 0;
 }
 
-static void take(struct hbp *h, const uint8_t *sample)
+static void take(const struct hbp *h, const uint8_t *sample, struct hbp_capture *c)
 {
-    struct hbp_capture *c = h->capture;
     uint8_t *to = c->to;
     if (to == c->end) {
         to = c->records;
         c->edges_begun = h->edges;
-        c->rounds = (uint8_t)(c->rounds << 1 | 1u);
+        c->rounds = (uint8_t)(2u * c->rounds | 1u);
     }
     c->skip = c->every;
 #if HBP_LITTLE_ENDIAN
-    for (const struct hbp_run *run = c->run, *end = c->runs_end; run < end; run++) {
+    const struct hbp_run *run = c->run, *end = c->runs_end;
+    do { /* there is one at least */
         const uint8_t *from = sample + run->at, *words_end = from + (run->bytes & ~3u), *end_of_run = from + run->bytes;
         uint32_t word;
         for (; from != words_end; from += 4, to += 4) {
@@ -330,7 +330,7 @@ static void take(struct hbp *h, const uint8_t *sample)
             memcpy(to, &word, sizeof word);
         }
         for (; from != end_of_run; from++) *to++ = *from;
-    }
+    } while (++run != end);
 #else
     hbp_copy_sample(h, c->take, c->channels, sample, to);
     to += c->record_bytes;
@@ -378,9 +378,8 @@ static void called(struct hbp *h, struct hbp_capture *c, uint32_t value)
 }
 
 /* Of hbp_capture_tick, what is seldom: by itself, so that the rest needs no registers saved. `value`: of the channel that is watched. */
-void hbp_capture_called(struct hbp *h, const uint8_t *sample, uint32_t value)
+void hbp_capture_called(struct hbp *h, const uint8_t *sample, struct hbp_capture *c, uint32_t value)
 {
-    struct hbp_capture *c = h->capture;
     if (c->calls.any) called(h, c, value);
     if (c->width && fulfilled(c, value)) {
         if (!c->leaves) trigger(h, c, c->trigger, 0);
@@ -388,7 +387,7 @@ void hbp_capture_called(struct hbp *h, const uint8_t *sample, uint32_t value)
         c->leaves = 0;
     }
     if (c->skip) c->skip--;
-    else take(h, sample);
+    else take(h, sample, c);
 }
 
 void hbp_capture_tick(struct hbp *h, const uint8_t *sample)
@@ -400,9 +399,9 @@ void hbp_capture_tick(struct hbp *h, const uint8_t *sample)
         value = value_in(c, sample);
         met = fulfilled(c, value);
     }
-    if (met || c->calls.any) hbp_capture_called(h, sample, value);
+    if (met || c->calls.any) hbp_capture_called(h, sample, c, value);
     else if (c->skip) c->skip--;
-    else take(h, sample);
+    else take(h, sample, c);
 }
 
 void hbp_capture_edge(struct hbp *h, uint32_t tick, uint8_t codes, uint16_t encoder)

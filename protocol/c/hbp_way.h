@@ -95,7 +95,7 @@ uint16_t hbp_watchdog_ms(const struct hbp *h);
 uint32_t hbp_capture_init(struct hbp *h);
 void hbp_capture_ask(struct hbp *h, uint8_t trigger);                 /* main loop: the trigger, if it is armed with that one */
 void hbp_capture_tick(struct hbp *h, const uint8_t *sample);          /* interrupt, before the period is counted */
-void hbp_capture_called(struct hbp *h, const uint8_t *sample, uint32_t value);
+void hbp_capture_called(struct hbp *h, const uint8_t *sample, struct hbp_capture *c, uint32_t value);
 void hbp_capture_edge(struct hbp *h, uint32_t tick, uint8_t codes, uint16_t encoder); /* interrupt, before the edge is counted */
 void hbp_capture_poll(struct hbp *h);
 uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t *n, float *detail);
