@@ -129,8 +129,9 @@ static void watch(struct hbp *h, uint8_t trigger, uint16_t id, float level)
     c->at = channel->at;
     c->leaves = trigger == HBP_TRIGGER_RISES || trigger == HBP_TRIGGER_FALLS;
     if (trigger != HBP_TRIGGER_CHANGES) find_range(c, channel, level, trigger == HBP_TRIGGER_ABOVE || trigger == HBP_TRIGGER_RISES);
-    if (c->leaves && c->span == 0u - step_of(c)) c->width = 0; /* it is always so, and never begins to be so */
-    if (c->leaves) take_others(c);
+    if (!c->width || !c->leaves) return;
+    if (c->span == 0u - step_of(c)) c->width = 0; /* it is always so, and never begins to be so */
+    else take_others(c);
 }
 
 /* Channels that stand side by side in the sample too are copied at once. */
