@@ -53,6 +53,7 @@ _HOMES = {
 }  # fmt: skip
 
 for _folder in (
+    "capture",
     "compare",
     "export",
     "hall",

@@ -44,7 +44,8 @@ def found() -> dict[str, Any]:
     hows = ("found", "elsewhere", "missed")
     by_chapter = [(chapter, *(counts[chapter, how] for how in hows)) for chapter in chapters]
     return {
-        "total": len(rows), "in_c": sum(row["in_c"] for row in rows), "sentences": len({row["name"] for row in rows}),
+        "total": len(rows), "in_c": sum(row["in_c"] for row in rows),
+        "in_python": sum(row.get("in_python", False) for row in rows), "sentences": len({row["name"] for row in rows}),
         "found": sum(row["how"] == "found" for row in rows), "by_chapter": by_chapter,
         "others": [row for row in rows if row["how"] != "found"],
     }  # fmt: skip

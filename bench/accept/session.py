@@ -278,7 +278,12 @@ class BenchSession:
             claim(path.parent.parent, f"{path.parent.name}/{path.name}")
             remove(path)  # an earlier run's
         recording = Recording(path, {"test": name})
-        with self._unless_unsafe(), Rig(plan).prepare(recording=recording, needed=channels) as rig:
+        with (
+            self._unless_unsafe(),
+            Rig(plan).prepare(
+                recording=recording, needed=channels, held=True, full=any(w.startswith("rate:") for w in needed(item))
+            ) as rig,
+        ):
             if not self.setup.identity:
                 elsewhere = self._elsewhere
                 unused = {LIMITS_ELSEWHERE: f"{len(elsewhere)}: {', '.join(elsewhere)}"} if elsewhere else {}

@@ -22,6 +22,7 @@ from protocol.text import printable
 
 _COMMANDS = {
     "live": "Stream a drive into rerun: watch it, spin it, record it.",
+    "capture": "Capture every PWM period around a trigger or a fault, on any link.",
     "view": "Open a recorded run, or part of it, in rerun.",
     "mark": "Mark a moment in a run while another terminal records it.",
     "plot": "Draw the standard plots of a recorded run.",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from bench.cli.files import RUN, check_files, config_option, json_option, overwrite_option, write_json
+from bench.cli.files import FILE, RUN, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.number import Duration, Number
 from bench.cli.options import Names, channels_option, operator_option, viewer_option, yes_option
 from bench.cli.streams import echo, note
@@ -43,12 +43,15 @@ class Observer(click.Choice[str]):
               help="Spin the motor at this speed, r/min; negative: reverse.")  # fmt: skip
 @click.option("--load", "load_a", metavar="A", type=Number(),
               help="Load torque, given as q current, A; needs a load machine.")  # fmt: skip
+@click.option("--profile", "profile_file", metavar="FILE", type=FILE,
+              help="Play a motion profile: a TOML file of steps, ramps, sines; bench plot FILE draws it.")  # fmt: skip
 @click.option("--current", "current_a", metavar="A", type=Number(above=0),
-              help="Highest phase current, A peak [default: rated current in bench.toml, else i_max].")  # fmt: skip
+              help="Highest phase current, A peak [default: as the profile says, else rated current in bench.toml, "
+              "else i_max].")  # fmt: skip
 @click.option("--observer", type=Observer(list(SOURCE_NAMES)),
               help="Angle source of the drive's control [default: unchanged].")  # fmt: skip
 @click.option("--duration", metavar="S", type=Number(above=0),
-              help="Stop after S seconds; limits the show, or repeats it.")  # fmt: skip
+              help="Stop after S seconds; limits the show or the profile, or repeats it.")  # fmt: skip
 @click.option("--save", metavar="RUN", type=RUN, help="Record to this folder; NAME.rrd also writes a file for rerun.")
 @overwrite_option
 @click.option("--keep", metavar="TIME", type=Duration(LEAST),
@@ -83,7 +86,7 @@ def command(target: str | None, json_file: Path | None, config: Path | None, ope
     it, what $BENCH_TARGET or bench.toml says. Where neither says anything, the simulated drive runs a short show:
     start-up, speed step and load step, first with the average-speed observer, then with the vector-tracking observer.
 
-    Without --speed and --load, a drive that is named by any of them is only watched, not energised.
+    Without --speed, --load and --profile, a drive that is named by any of them is only watched, not energised.
 
     Ctrl-C switches the outputs off, completes the recording and exits with code 130.
 
@@ -93,12 +96,17 @@ def command(target: str | None, json_file: Path | None, config: Path | None, ope
       bench live serial:/dev/ttyACM0
       bench live serial:/dev/ttyACM0 --speed 500 --yes --duration 20 --save a.run --viewer none
       bench live sim --speed 1000 --load 4 --observer average-speed
+      bench live sim --profile motion.toml --save a.run
     """
     _check(target, config, given)
     if target in (None, "sim"):
         config = simulated_figures(config)
     files = {"--save": given["save"], "--json": json_file}
-    check_files(files, given["overwrite"], [config], recordings=["--save"])
+    check_files(files, given["overwrite"], [config, given["profile_file"]], recordings=["--save"])
+    if (file := given.pop("profile_file")) is not None:
+        from bench.motion.read import read_profile
+
+        given["profile"] = read_profile(file)
     with ExitStack() as stack:
         drive = None
         if target in (None, "sim"):  # it starts while this process still loads what it needs
@@ -152,9 +160,13 @@ def _check(target: str | None, config: Path | None, given: dict[str, Any]) -> No
     """Raise UsageError for options that exclude each other."""
     if config and target not in (None, "sim"):
         raise click.UsageError(f"--config is for the simulated drive, not for {target}")
+    asked = [of for of, name in (("--speed", "speed_rpm"), ("--load", "load_a")) if given[name] is not None]
+    if given["profile_file"] is not None and asked:
+        raise click.UsageError(f"--profile and {asked[0]} exclude each other: write it into the profile")
     for option, value in (("observer", given["observer"]), ("current", given["current_a"])):
-        if value is not None and given["speed_rpm"] is None and given["load_a"] is None:
-            raise click.UsageError(f"--{option} needs --speed or --load: without them the drive is only watched")
+        if value is not None and not asked and given["profile_file"] is None:
+            needs = "--speed, --load or --profile"
+            raise click.UsageError(f"--{option} needs {needs}: without them the drive is only watched")
     if given["trigger"]:
         from bench.live.triggers import Condition  # numpy costs 70 ms: only those who need it pay
 

@@ -17,7 +17,7 @@ from bench.conform.verdicts import Failed, NotApplicable, Unknown
 from protocol.canmap.frame import BRS, FDF
 from protocol.canmap.ids import BROADCAST, STATUS_SLOTS, CanClass, CanId
 from protocol.canmap.layout import MAX_GROUPS, edge_load, sample_layout
-from protocol.codes import DriveState, ErrorCode, MessageType
+from protocol.codes import DriveState, ErrorCode, Feature, MessageType
 from protocol.descriptor import Channel
 from protocol.framing import Frame
 from protocol.messages import BlobRead, BlobReply, StreamGet, StreamInfo, StreamReply
@@ -541,7 +541,7 @@ def overload(device: Device) -> str:
 @bus("edges", "16.28", needs=MOTION)
 def edges(device: Device) -> str:
     """Each edge has its own frame, numbered consecutively."""
-    device.require_edges()
+    device.require(Feature.EDGES)
     numbers = [edge.index for edge in turned(device).edges]
     if len(numbers) < 2:
         raise Unknown(f"only {len(numbers)} edges received")

@@ -2,10 +2,44 @@
 
 from __future__ import annotations
 
-from bench.conform import can, data, feeding, identity, link, motion, parameters, setpoints, states, streams
+from bench.conform import (
+    blobs,
+    can,
+    capture,
+    capture_states,
+    commission,
+    data,
+    feeding,
+    identity,
+    link,
+    means,
+    motion,
+    moving,
+    parameters,
+    setpoints,
+    states,
+    streams,
+)
 from bench.conform.checks import TABLE, Carrier, Check
 
-MODULES = (link, identity, parameters, streams, data, states, feeding, setpoints, motion, can)
+MODULES = (
+    link,
+    identity,
+    parameters,
+    blobs,
+    streams,
+    data,
+    capture,
+    means,
+    states,
+    feeding,
+    setpoints,
+    capture_states,
+    commission,
+    motion,
+    moving,
+    can,
+)
 """In the order in which their checks run; those of a module run as they stand in its text."""
 
 

@@ -48,16 +48,17 @@ def claim(run: Run) -> Claim:
     not_shown = [f"level {n} ({LEVELS[n]}), which needs {', '.join(ids)}" for n, ids in missing.items()]
     failed, unknown = _ids(run.results, Verdict.FAIL), _ids(run.results, Verdict.INVALID)
     passed = run.count(Verdict.PASS)
+    spoken = f"{MAJOR}.{min(run.hello.minor, MINOR)}"
     if failed:
         conforms: bool | None = False
         these = f"{counted(len(failed), 'check')} failed: {', '.join(failed)}"
-        words = f"does not conform to HBP {MAJOR}.{MINOR}: {these}; {passed} passed"
+        words = f"does not conform to HBP {spoken}: {these}; {passed} passed"
     elif why := run.ended or run.loses or ("no check passed" if level < 0 else ""):
         conforms, words = None, f"inconclusive: {why}; {counted(passed, 'check')} passed"
     else:
         conforms = True
         on_can = ", on CAN" if _passed(run.results, CAN) and CAN not in missing else ""
-        words = f"conforms to HBP {MAJOR}.{MINOR} at level {level}{on_can}: {counted(passed, 'check')} passed"
+        words = f"conforms to HBP {spoken} at level {level}{on_can}: {counted(passed, 'check')} passed"
     if unknown:
         few = ", ".join(unknown[:6]) + (f" and {len(unknown) - 6} more" if len(unknown) > 6 else "")
         words += f", {len(unknown)} unknown: {few}"

@@ -17,7 +17,7 @@ from bench.conform.levels import MOTION, STREAMS
 from bench.conform.probe import MOST_QUEUED, read, steps
 from bench.conform.verdicts import Failed, NotApplicable, Unknown
 from protocol.canmap.layout import sample_layout
-from protocol.codes import MessageType
+from protocol.codes import Feature, MessageType
 from protocol.descriptor import Channel
 from protocol.framing import MAX_PAYLOAD
 from protocol.messages import TimeSyncReply
@@ -99,7 +99,7 @@ def periods(device: Device, told: Configured) -> int:
 
 def unwrapped(index: int, now: int) -> int:
     """The number with these low 32 bits that is nearest to `now`."""
-    return now + _signed(index - now)
+    return now + signed(index - now)
 
 
 @check("index-divisible", "11.10")
@@ -127,7 +127,7 @@ def tick_of_index(device: Device) -> str:
     ticks, tick0, now = device.ticks_per_period, told.reply.tick0, periods(device, told)
     for block in blocks:
         index = unwrapped(block.index, now)
-        off = _signed(block.tick - tick0 - index * ticks)
+        off = signed(block.tick - tick0 - index * ticks)
         if off:
             raise Failed(f"index {block.index} has tick {block.tick}: {off} off from tick0 {tick0} + index * {ticks}")
     newest = now - unwrapped(blocks[-1].index, now)
@@ -153,8 +153,8 @@ def tick_is_now(device: Device) -> str:
         newest = block.tick + (block.n - 1) * step
         before = [tick for place, tick in asked if place <= block.place]
         after = [tick for place, tick in asked if place > block.place]
-        behind += [_signed(before[-1] - newest)] if before else []
-        ahead += [_signed(newest - after[0])] if after else []
+        behind += [signed(before[-1] - newest)] if before else []
+        ahead += [signed(newest - after[0])] if after else []
     if not ahead or not behind:
         raise Unknown("no frame received between two TIME_SYNCs")
     period, early, late = device.ticks_per_period, max(ahead), min(behind)
@@ -170,7 +170,7 @@ def tick_is_now(device: Device) -> str:
     return f"the newest sample of {len(behind)} frames lies between the TIME_SYNCs before and after it"
 
 
-def _signed(ticks: int) -> int:
+def signed(ticks: int) -> int:
     """A difference of ticks of 32 bits."""
     return ((ticks + (1 << 31)) & MASK) - (1 << 31)
 
@@ -208,7 +208,7 @@ def late(device: Device, came: list[tuple[float, int]], latency_ms: int, what: s
     """Evidence that what `came` with a tick is no older than that, for most of them. Raises Failed."""
     probe = device.probe
     tick, now = probe.tick()[1], probe.now()
-    ages = sorted(_signed(tick - then) / device.hz - (now - at) for at, then in came)
+    ages = sorted(signed(tick - then) / device.hz - (now - at) for at, then in came)
     age = ages[len(ages) // 2]
     words = f"{len(came)} {what}, most of them up to {1e3 * age:.0f} ms old, max_latency_ms is {latency_ms}"
     if age > 1e-3 * latency_ms + SEEN + 2 * probe.takes(MAX_PAYLOAD):
@@ -256,7 +256,7 @@ def status(device: Device) -> str:
         raise NotApplicable("the device has no channel `status`")
     told = device.stream((channel,), RATE)
     device.probe.listen(WATCHED / 2)
-    found = {raw[0] & 7 for raw in _instants(device, told, (channel,)).values()}
+    found = {raw[0] & 7 for raw in instants(device, told, (channel,)).values()}
     state = device.fresh().state
     if not found:
         raise Unknown("no sample received")
@@ -274,11 +274,11 @@ def wraps(device: Device) -> str:
     told, _ = _within(device, chosen, RATE, LOADED)
     device.start_streams(1)
     device.probe.listen(WATCHED)
-    samples = _instants(device, told, tuple(chosen))
+    samples = instants(device, told, tuple(chosen))
     if not samples:
         raise Unknown("no sample received")
     for at, sample in samples.items():
-        for channel, raw in zip(chosen, _split(sample, tuple(chosen)), strict=True):
+        for channel, raw in zip(chosen, split_sample(sample, tuple(chosen)), strict=True):
             value = float(np.frombuffer(raw, channel.raw.dtype)[0]) * channel.scale + channel.offset
             if not -math.pi - ROUNDED <= value < math.pi + ROUNDED:
                 raise Failed(f"{channel.name} at {at} is {value:.6g} rad")
@@ -288,7 +288,7 @@ def wraps(device: Device) -> str:
 # -- what is in the samples -------------------------------------------------------------------------------------------
 
 
-def _instants(device: Device, told: Configured, chosen: tuple[Channel, ...]) -> dict[int, bytes]:
+def instants(device: Device, told: Configured, chosen: tuple[Channel, ...]) -> dict[int, bytes]:
     """The samples of a stream that came whole, by index, or by counter on CAN."""
     if device.probe.line.bus:
         return bus_samples(device, told, chosen)
@@ -324,8 +324,23 @@ def bus_samples(device: Device, told: Configured, chosen: tuple[Channel, ...]) -
     return {counter: b"".join(found[n] for n in sorted(found)) for counter, found in whole.items()}
 
 
+def by_index(device: Device, told: Configured, chosen: tuple[Channel, ...]) -> dict[int, bytes]:
+    """The samples of a stream that came whole, by the low 32 bits of their index."""
+    samples, now = instants(device, told, chosen), periods(device, told)
+    if not device.probe.line.bus or device.bus.rates.fd:
+        return samples
+    decimation = told.asked.decimation
+    number = now // decimation
+    return {(number + _signed16(key - number)) * decimation & MASK: sample for key, sample in samples.items()}
+
+
+def _signed16(number: int) -> int:
+    """A difference of counters of classic CAN."""
+    return ((number + (1 << 15)) & 0xFFFF) - (1 << 15)
+
+
 @either("same-instants", "11.10")
-def same_instants(device: Device) -> str:
+def sameinstants(device: Device) -> str:
     """Two streams with the same decimation are sampled at the same instants."""
     forth, _, there, backwards = _both_ways(device)
     first, last = max(min(there), min(backwards)), min(max(there), max(backwards))
@@ -343,7 +358,7 @@ def same_instants(device: Device) -> str:
 @either("channel-order", "11.9")
 def channel_order(device: Device) -> str:
     """Channels are in the order in which STREAM_SET names them, also in the opposite order."""
-    chosen = _few(device)
+    chosen = few(device)
     if len(chosen) < 2:
         raise NotApplicable("the device has only one channel")
     _, _, there, backwards = _both_ways(device)
@@ -352,7 +367,7 @@ def channel_order(device: Device) -> str:
         raise Unknown("the two streams have no sample in common")
     differ = False
     for n in common:
-        values, reversed_ = _split(there[n], chosen), _split(backwards[n], chosen[::-1])
+        values, reversed_ = split_sample(there[n], chosen), split_sample(backwards[n], chosen[::-1])
         differ = differ or values != reversed_
         for channel, one, other in zip(chosen, values, reversed_[::-1], strict=True):
             if one != other:
@@ -362,7 +377,7 @@ def channel_order(device: Device) -> str:
     return f"{len(common)} samples of {counted(len(chosen), 'channel')} in both orders: the same values"
 
 
-def _few(device: Device) -> tuple[Channel, ...]:
+def few(device: Device) -> tuple[Channel, ...]:
     """Channels that a slow link carries too; on CAN some of one width, which could be taken for one another."""
     if not device.probe.line.bus:
         return device.channels[:8]
@@ -370,7 +385,8 @@ def _few(device: Device) -> tuple[Channel, ...]:
     return tuple(channel for channel in device.channels if width(channel) == usual)[:3]
 
 
-def _split(sample: bytes, chosen: tuple[Channel, ...]) -> list[bytes]:
+def split_sample(sample: bytes, chosen: tuple[Channel, ...]) -> list[bytes]:
+    """The raw values in a sample of these channels, one by one."""
     found, at = [], 0
     for channel in chosen:
         found.append(sample[at : at + width(channel)])
@@ -398,7 +414,7 @@ def _within(device: Device, chosen: Sequence[Channel], rate: float, share: float
 
 
 def _streamed_both_ways(device: Device) -> Both:
-    chosen = _few(device)
+    chosen = few(device)
     rate = min(RATE, device.pwm_hz / 4)
     forth, rate = _within(device, chosen, rate, HALF)
     back = device.configure(1, ids(chosen[::-1]), rate, share=ALL)
@@ -406,7 +422,7 @@ def _streamed_both_ways(device: Device) -> Both:
         raise Unknown(f"the second stream fits only with decimation {back.asked.decimation}")
     device.start_streams(3)
     device.probe.listen(2 * WATCHED)
-    there, backwards = _instants(device, forth, chosen), _instants(device, back, chosen[::-1])
+    there, backwards = instants(device, forth, chosen), instants(device, back, chosen[::-1])
     if not there or not backwards:
         raise Unknown(f"{len(there)} and {len(backwards)} samples received of two streams")
     return forth, back, there, backwards
@@ -455,7 +471,7 @@ def _codes(device: Device, channel: Channel) -> list[int]:
     device.probe.stream_frames.clear()
     told = device.stream((channel,), RATE)
     device.probe.listen(WATCHED / 2)
-    found = {raw[0] & 7 for raw in _instants(device, told, (channel,)).values()}
+    found = {raw[0] & 7 for raw in instants(device, told, (channel,)).values()}
     device.stop_streams()
     if not found:
         raise Unknown(f"no sample of {channel.name} received within {WATCHED / 2:g} s")
@@ -558,11 +574,11 @@ def _up_to(device: Device, tick: int) -> list[Block]:
 
     def there() -> bool:
         blocks = device.blocks(0)
-        return bool(blocks) and _signed(blocks[-1].tick - tick) >= 0
+        return bool(blocks) and signed(blocks[-1].tick - tick) >= 0
 
     device.probe.until(there, MOST_QUEUED)
     blocks = device.blocks(0)
-    newer = [n for n, block in enumerate(blocks, 1) if _signed(block.tick - tick) >= 0]
+    newer = [n for n, block in enumerate(blocks, 1) if signed(block.tick - tick) >= 0]
     return blocks[: newer[0]] if newer else blocks
 
 
@@ -661,7 +677,7 @@ def overrun_flag(device: Device) -> str:
 @check("edges-before-samples", "11.43")
 def edges_before_samples(device: Device) -> str:
     """Every edge comes before any sample taken at or after it."""
-    device.require_edges()
+    device.require(Feature.EDGES)
     if device.level >= MOTION:
         raise NotApplicable("checked while turning: motion.edges-before-samples")
     device.configure_edges(0)

@@ -22,12 +22,15 @@ from bench.conform.verdicts import Ended, Failed, NotApplicable, Unknown
 from bench.device.safety import is_off
 from bench.rig.interrupts import undisturbed
 from protocol.canmap.layout import MAX_GROUPS, sample_layout
-from protocol.codes import Command, DriveState, ErrorCode, Fault, MessageType, StreamEvent
+from protocol.codes import CaptureState, CaptureTrigger, Command, DriveState, ErrorCode, Fault, MessageType, StreamEvent
 from protocol.descriptor import Channel, Descriptor
 from protocol.errors import DeviceDefect
 from protocol.messages import (
     BlobRead,
     BlobReply,
+    CaptureArm,
+    CaptureReply,
+    CaptureStatus,
     DeviceEvent,
     Feature,
     Heartbeat,
@@ -47,7 +50,8 @@ ALIVE = 0.05  # s between two ALIVEs, at most a quarter of the watchdog's time
 LIGHT, WELL_LOADED, ALL = 0.45, 0.8, 1.0
 """Shares of the link that all streams take which a check looks at; beyond the second they queue up in the device."""
 SLOW_LINK = 3.0  # s in which a slow link brings two frames
-PART = 512  # bytes of the descriptor that are asked for at once
+PART = 512  # bytes of a blob that are asked for at once
+MOST_BLOB = 4096 * 32  # bytes
 PATIENCE = 0.5  # s beyond its time that a watchdog is given to end what STOP did not
 EDGE_BYTES = 8
 NO_FLAGS = Flag(0)
@@ -97,6 +101,8 @@ class Device:
     hello: HelloReply = field(init=False)
     kept: dict[str, Any] = field(default_factory=dict)
     """What one check has measured and another needs too."""
+    held_capture: int = 0
+    """Number of the capture that a host had not read when this began, 0: none."""
     not_put_back: list[str] = field(default_factory=list)
     """Parameters that are not restored, in words."""
 
@@ -135,14 +141,18 @@ class Device:
     @cached_property
     def blob(self) -> bytes:
         """The descriptor as it is read. Raises Unknown where it cannot be."""
+        return self.read_blob(0)
+
+    def read_blob(self, number: int, part_bytes: int = PART) -> bytes:
+        """A whole blob, read in parts of this length. Raises Unknown where it cannot be."""
         blob, total = b"", 1
         while len(blob) < total:
-            part = self.probe.get(BlobRead(0, PART, len(blob)), BlobReply)
+            part = self.probe.get(BlobRead(number, part_bytes, len(blob)), BlobReply)
             if not part.data and part.total:
-                raise Unknown(f"the descriptor ends after {len(blob)} of {part.total} bytes")
+                raise Unknown(f"blob {number} ends after {len(blob)} of {part.total} bytes")
             total, blob = part.total, blob + part.data
-            if total > 4096 * 32:
-                raise Unknown(f"the descriptor has {total} bytes")
+            if total > MOST_BLOB:
+                raise Unknown(f"blob {number} has {total} bytes")
         return blob
 
     @cached_property
@@ -205,12 +215,16 @@ class Device:
     @property
     def offers_edges(self) -> bool:
         """Whether HELLO has the feature."""
-        return bool(self.hello.features & Feature.EDGES)
+        return self.offers(Feature.EDGES)
 
-    def require_edges(self) -> None:
+    def offers(self, feature: Feature) -> bool:
+        """Whether HELLO has the feature."""
+        return bool(self.hello.features & feature)
+
+    def require(self, feature: Feature) -> None:
         """Raises NotApplicable where HELLO lacks the feature."""
-        if not self.offers_edges:
-            raise NotApplicable("the device lacks the feature EDGES")
+        if not self.offers(feature):
+            raise NotApplicable(f"the device lacks the feature {feature.name}")
 
     def once(self, name: str, make: Callable[[], T]) -> T:
         """What `make` gives, made once for all checks that need it."""
@@ -222,6 +236,18 @@ class Device:
     def set(self, record: Channel, value: float) -> Answer:
         """Send a PARAM_SET."""
         return self.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, value).pack())
+
+    def look_at_capture(self) -> None:
+        """Remember whether a capture is held that a host may want to read."""
+        if self.offers(Feature.CAPTURE):
+            with suppress(Ended):
+                told = self.probe.get(CaptureStatus(), CaptureReply)
+                self.held_capture = told.number if told.state == CaptureState.FROZEN else 0
+
+    def give_up_capture(self) -> None:
+        """Leave the device waiting for a fault, as after boot, unless a host's capture is held. Raises Ended."""
+        if self.offers(Feature.CAPTURE) and not self.held_capture:
+            self.probe.ask(MessageType.CAPTURE_ARM, CaptureArm(CaptureTrigger.OFF).pack())
 
     # -- streams --------------------------------------------------------------------------------------------------
 
@@ -235,12 +261,18 @@ class Device:
         return self.probe.ask(MessageType.STREAM_SET, payload)
 
     def configure(
-        self, stream: int, channels: Sequence[int], rate: float, latency_ms: int = 20, share: float = LIGHT
+        self,
+        stream: int,
+        channels: Sequence[int],
+        rate: float,
+        latency_ms: int = 20,
+        share: float = LIGHT,
+        event: StreamEvent = StreamEvent.PWM,
     ) -> Configured:
         """Configure samples at about `rate` Hz, or as often as that `share` of the link carries. Raises Unknown."""
         decimation = min(max(1, round(self.pwm_hz / rate)), MAX_DECIMATION)
         while True:
-            answer = self.stream_set(stream, channels, decimation, latency_ms)
+            answer = self.stream_set(stream, channels, decimation, latency_ms, event)
             error = answer.error
             fits = error.detail if error is not None and error.code == ErrorCode.DOES_NOT_FIT else 0.0
             if 1 <= fits <= MAX_DECIMATION and decimation < MAX_DECIMATION:  # of larger ones, some may fit less
@@ -252,7 +284,7 @@ class Device:
             decimation = min(math.ceil(decimation * max(1.1, reply.load / share)), MAX_DECIMATION)
         if not reply.block or not reply.sample_bytes:
             raise Unknown(f"STREAM_SET gave sample_bytes {reply.sample_bytes}, block {reply.block}")
-        return Configured(reply, StreamSet(stream, StreamEvent.PWM, decimation, latency_ms, tuple(channels)))
+        return Configured(reply, StreamSet(stream, event, decimation, latency_ms, tuple(channels)))
 
     def stream(self, channels: Sequence[Channel], rate: float, latency_ms: int = 20) -> Configured:
         """Configure stream 0 for these channels, see `configure`, and start it. Raises Unknown."""
@@ -262,7 +294,7 @@ class Device:
 
     def configure_edges(self, stream: int, decimation: int = 1, latency_ms: int = 20) -> Configured:
         """Configure a stream of edges. Raises NotApplicable, Unknown."""
-        self.require_edges()
+        self.require(Feature.EDGES)
         answer = self.stream_set(stream, (), decimation, latency_ms, StreamEvent.EDGES)
         reply = read(require_granted(answer, "STREAM_SET of edges").frame, StreamReply)
         return Configured(reply, StreamSet(stream, StreamEvent.EDGES, decimation, latency_ms))

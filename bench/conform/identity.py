@@ -25,13 +25,14 @@ check = Group("identity", IDENTITY)
 
 UNASKED = (MessageType.HEARTBEAT, MessageType.EVENT, MessageType.LOG, MessageType.DATA, MessageType.EDGES)
 TEXTS = (("name", 36, 16), ("firmware", 52, 16), ("serial", 68, 24), ("build", 92, 24))
-OTHER_BLOBS = (1, 2, 255)
+BLOBS = {1: Feature.CAPTURE, 2: None, 3: Feature.MEANINGS, 4: Feature.WAVEFORM, 5: None, 255: None}
+"""Blobs beside the descriptor: which feature has them."""
 WATCHED = 1.6  # s that heartbeats are watched
 RATE_ERROR = 0.05
 """Tolerance of `tick_hz` against the host's clock: SPEC gives no value; this finds a wrong one."""
 STABLE = ("boot_id", "major", "minor", "rx_max", "tx_max", "features", "schema_crc", "tick_hz", "pwm_hz", "node",
           "role", "nodes", "name", "firmware", "serial", "build")  # fmt: skip
-FREE_FAULT_BITS, RESERVED_FAULT_BITS = 0xFF000000, 0xFF80
+FREE_FAULT_BITS, RESERVED_FAULT_BITS = 0xFF000000, 0xFF00
 BEAT_EARLY, BEAT_LATE = 0.078, 0.122  # s between two heartbeats, each of which may be 20 ms late
 OF_THE_HALLS = ("hall_offset", "hall_swap_hat", "hall_invert_hat")
 OUTPUTS_ON = 37  # where it stands in a heartbeat
@@ -200,11 +201,12 @@ def blob_past_end(device: Device) -> Iterator[str]:
 
 @check("other-blobs", "5.20 17.1")
 def other_blobs(device: Device) -> Iterator[str]:
-    """Blobs other than 0 are refused."""
+    """Blobs that belong to no feature of the device are refused."""
+    absent = [blob for blob, feature in BLOBS.items() if feature is None or not device.offers(feature)]
     return (
         f"blob {blob}: "
         + device.probe.refused(ErrorCode.UNKNOWN_ID, blob, MessageType.BLOB_READ, BlobRead(blob, 16, 0).pack())
-        for blob in OTHER_BLOBS
+        for blob in absent
     )
 
 
@@ -249,7 +251,7 @@ def heartbeat_fields(device: Device) -> str:
             f"faults 0x{int(beat.faults):x} in {beat.state.name}": bool(beat.faults)
             != (beat.state == DriveState.FAULT),
             f"outputs on in {beat.state.name}": bool(beat.outputs_on) and beat.state != DriveState.RUNNING,
-            f"faults 0x{int(beat.faults):x}: bits 7 to 15 are not 0": bool(beat.faults & RESERVED_FAULT_BITS),
+            f"faults 0x{int(beat.faults):x}: bits 8 to 15 are not 0": bool(beat.faults & RESERVED_FAULT_BITS),
             f"watchdog_ms {beat.watchdog_ms} in {beat.state.name}": beat.watchdog_ms != UNFED
             and beat.state not in (DriveState.ARMED, DriveState.RUNNING),
         }

@@ -16,14 +16,20 @@ from bench.conform.levels import LINK
 from bench.conform.lines import ByteLine
 from bench.conform.probe import GRACE, HELLO, PATIENCE, Answer, NoAnswer, Probe, accepted, name_of, read, refusal
 from bench.conform.verdicts import Failed, Hopeless, NotApplicable, Unknown
-from protocol.codes import Command, ErrorCode, MessageType
+from protocol.codes import Command, ErrorCode, Feature, MessageType
 from protocol.framing import ERROR, MAJOR, MAX_PAYLOAD, REPLY, Frame, wrapped
 from protocol.messages import BlobRead, BlobReply, HelloReply, StreamGet, StreamInfo, StreamReply, TimeSyncReply
 
 check = Group("link", LINK)
 framing = Group("link", LINK, Carrier.BYTES)
 
-UNKNOWN_TYPES = (0x00, 0x07, 0x34, 0x7F, 0x06, 0x38, 0x39)  # chapter 17 reserves the last three
+UNKNOWN_TYPES = (0x00, 0x07, 0x34, 0x7F, 0x06)  # chapter 17 reserves the last one
+OF_FEATURES = {
+    MessageType.BLOB_WRITE: Feature.WAVEFORM,
+    MessageType.CAPTURE_ARM: Feature.CAPTURE,
+    MessageType.CAPTURE_STATUS: Feature.CAPTURE,
+}
+"""Types of requests that only a device with the feature knows."""
 NO_REQUESTS = (0x04, 0x40, 0x41, 0x42, 0x43)  # what a device sends unasked
 LONG = MAX_PAYLOAD + 1
 ANSWER = 0.1  # s in which a request is answered
@@ -37,6 +43,11 @@ LENGTHS = {
     MessageType.STATE_CMD: 8, MessageType.STREAM_START: 4, MessageType.STREAM_STOP: 4, MessageType.STREAM_GET: 4,
 }  # fmt: skip
 """Of requests whose length is fixed. A device that took PARAM_COMMIT with a payload would wear out its store."""
+WRONG_LENGTHS = (
+    (MessageType.BLOB_WRITE, 7), (MessageType.BLOB_WRITE, 9), (MessageType.CAPTURE_ARM, 21),
+    (MessageType.CAPTURE_ARM, 23), (MessageType.CAPTURE_ARM, 24), (MessageType.CAPTURE_STATUS, 1),
+)  # fmt: skip
+"""Of requests of a feature, all of whose bytes are zero."""
 NOISE_TAKES = 10.0  # s that they may be under way: a UART of 9600 baud carries them in 5.2 s
 ROUNDS = 20
 TIME_SYNC = MessageType.TIME_SYNC
@@ -66,6 +77,7 @@ def in_time(device: Device) -> str:
         (MessageType.STREAM_SET, bytes(8)), (MessageType.STREAM_START, none), (MessageType.STREAM_STOP, none),
         (MessageType.STATE_CMD, struct.pack("<BxxxI", Command.STOP, 0)),
     ]  # fmt: skip
+    kinds += [(kind, bytes(1)) for kind, feature in OF_FEATURES.items() if device.offers(feature)]  # refused, at once
     found = {kind: soonest(probe, kind, payload) for kind, payload in kinds}
     slow = {kind: after for kind, after in found.items() if after > ANSWER + LATE + probe.takes(IN_BETWEEN)}
     words = [_after(kind, after) for kind, after in slow.items()]
@@ -403,9 +415,10 @@ def hello_of_any_major(device: Device) -> str:
 
 @check("unknown-type", "3.26 17.1 3.18 6.1")
 def unknown_type(device: Device) -> Iterator[str]:
-    """Types that are reserved, not assigned, or not a host's are refused with UNKNOWN_TYPE and the type."""
+    """Types that are reserved, not assigned, of a feature that is lacking, or not a host's are refused as unknown."""
     sent = () if device.probe.line.bus else NO_REQUESTS
-    return (device.probe.refused(ErrorCode.UNKNOWN_TYPE, kind, kind) for kind in (*UNKNOWN_TYPES, *sent))
+    lacking = [kind for kind, feature in OF_FEATURES.items() if not device.offers(feature)]
+    return (device.probe.refused(ErrorCode.UNKNOWN_TYPE, kind, kind) for kind in (*UNKNOWN_TYPES, *lacking, *sent))
 
 
 @check("tid", "3.27 3.6 8.10")
@@ -494,6 +507,7 @@ def bad_length_refused(device: Device) -> Iterator[str]:
     probe = device.probe
     kinds = [(kind, n) for kind, right in LENGTHS.items() for n in (right - 1, right + 1) if n > 0]
     kinds += [(MessageType.HELLO, 7), (MessageType.STREAM_SET, 7), (MessageType.STREAM_SET, 9)]
+    kinds += [(kind, n) for kind, n in WRONG_LENGTHS if device.offers(OF_FEATURES[kind])]
     yield from (probe.refused(ErrorCode.BAD_LENGTH, n, kind, bytes(n)) for kind, n in kinds)
     alive = probe.ask_frame(probe.frame(MessageType.ALIVE, bytes(3)))
     yield refusal(alive, ErrorCode.BAD_LENGTH, 3, "ALIVE")

@@ -33,7 +33,7 @@ from bench.device.safety import is_off, says
 from bench.rig.runaway import Runaway
 from bench.signal.units import RPM, pole_pairs
 from bench.signal.waveforms.sectors import edge_passages, steps_between
-from protocol.codes import Command, DriveState, ErrorCode, EventCode, Fault, Role, SetpointMode
+from protocol.codes import Command, DriveState, ErrorCode, EventCode, Fault, Feature, Role, SetpointMode
 from protocol.descriptor import Channel
 from protocol.messages import Heartbeat, StateReply
 from protocol.signals import Flag, Unit
@@ -134,7 +134,7 @@ def _turn(device: Device) -> Turn:
         told = device.configure(1, ids(followed), RATE, LATENCY_MS, WELL_LOADED)
         mask |= 2
     device.start_streams(mask)
-    watch = _Watch(device, channel, told, slot)
+    watch = Watch(device, channel, told, slot)
     with device.probe.watched(watch.look):
         spin(device)
         device.probe.listen(TURNS)
@@ -158,7 +158,7 @@ def _turn(device: Device) -> Turn:
     state = read(answer.frame, StateReply).state
     ended = device.probe.tick()[1]
     dropped = device.dropped()
-    return Turn(_edges(device, slot), blocks, travel, beats, edges, ahead, late, stopped, state, ended, dropped)
+    return Turn(edges_of(device, slot), blocks, travel, beats, edges, ahead, late, stopped, state, ended, dropped)
 
 
 def _often_enough(device: Device, told: Configured) -> bool:
@@ -168,7 +168,7 @@ def _often_enough(device: Device, told: Configured) -> bool:
     return device.pwm_hz / told.asked.decimation > PER_TURN * device.speed_rpm / 60 * pairs
 
 
-class _Watch:
+class Watch:
     """Looks whether the motor runs away while it turns; its drive tells its pole pairs, or nothing is looked at."""
 
     def __init__(self, device: Device, channel: Channel | None, told: Configured | None, edge_slot: int | None) -> None:
@@ -190,7 +190,7 @@ class _Watch:
         if since == self._seen:
             return
         slot, edge_slot = self._slots
-        edges = [(edge.tick, edge.codes) for edge in _edges(device, edge_slot, since)]
+        edges = [(edge.tick, edge.codes) for edge in edges_of(device, edge_slot, since)]
         if edges and self._edge is not None and (ticks := (edges[-1][0] - self._edge[0]) & 0xFFFFFFFF) < 1 << 31:
             codes = np.array([codes for _, codes in edges])
             self._runaway.by_edges(now, max(ticks, 1) / device.hz, steps_between(codes & 7, codes >> 3 & 7))
@@ -206,7 +206,7 @@ class _Watch:
             raise Failed(f"the drive {words}; STOP was sent")
 
 
-def _edges(device: Device, slot: int | None, since: tuple[int, int] = (0, 0)) -> list[Edge]:
+def edges_of(device: Device, slot: int | None, since: tuple[int, int] = (0, 0)) -> list[Edge]:
     """`since`: how many messages, and frames of streams on a bus, are left out."""
     found: list[Edge] = []
     for block in device.blocks(since=since[0]):
@@ -316,7 +316,7 @@ def edges_before_samples(device: Device) -> str:
 
 def _some(device: Device, least: int = 2) -> list[Edge]:
     """Edges of the turn. Raises NotApplicable, Unknown."""
-    device.require_edges()
+    device.require(Feature.EDGES)
     turn = turned(device)
     if turn.dropped or len(turn.edges) < least:
         raise Unknown(turn.dropped or f"only {len(turn.edges)} edges received")
@@ -443,10 +443,10 @@ FORWARD = set(pairwise((1, 3, 2, 6, 4, 5, 1)))
 @check("edges-alone", "11.11 11.16 11.36")
 def edges_alone(device: Device) -> str:
     """A stream of edges alone has all edges, none later than max_latency_ms."""
-    device.require_edges()
+    device.require(Feature.EDGES)
     told = device.configure_edges(0, latency_ms=ALONE_MS)
     device.start_streams(1)
-    with device.probe.watched(_Watch(device, None, None, told.reply.slot).look):
+    with device.probe.watched(Watch(device, None, None, told.reply.slot).look):
         spin(device)
         device.probe.listen(ALONE)
     device.probe.stop()
@@ -455,7 +455,7 @@ def edges_alone(device: Device) -> str:
     beats = [beat for _, beat in device.probe.beats]
     counted = (beats[-1].edges - beats[0].edges) & 0xFFFFFFFF
     device.stop_streams()
-    edges = _edges(device, told.reply.slot)
+    edges = edges_of(device, told.reply.slot)
     came = [edge for edge in edges if _signed(edge.tick - beats[0].tick) > 0 >= _signed(edge.tick - beats[-1].tick)]
     words = f"{len(came)} edges came, `edges` rose by {counted}"
     if len(came) != counted:
@@ -471,7 +471,7 @@ def undisturbed(device: Device) -> str:
     """HELLO, START, refused requests and rejected setpoints leave the speed as it is."""
     probe = device.probe
     motion = _Motion(device)
-    with probe.watched(_Watch(device, motion.channel, motion.told, None).look):
+    with probe.watched(Watch(device, motion.channel, motion.told, None).look):
         spin(device)
         probe.listen(RUN_UP)
         before = motion.turned()
@@ -498,7 +498,7 @@ def starts_at_rest(device: Device) -> str:
     motion = _Motion(device)
     words = []
     for what, turns, trips in (("STOP", True, False), ("a fault", True, True), ("setpoints before it", False, False)):
-        with probe.watched(_Watch(device, motion.channel, motion.told, None).look):
+        with probe.watched(Watch(device, motion.channel, motion.told, None).look):
             if turns:
                 spin(device)
                 probe.listen(RUN_UP)

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from bench.conform.checks import Group
-from bench.conform.device import Device
+from bench.conform.device import Device, require_granted
 from bench.conform.levels import IDENTITY
 from bench.conform.probe import read, refusal
-from bench.conform.verdicts import Failed, NotApplicable
-from protocol.codes import ErrorCode, MessageType
+from bench.conform.verdicts import Failed, NotApplicable, Unknown
+from protocol.codes import ErrorCode, EventCode, Feature, MessageType
 from protocol.descriptor import Channel
 from protocol.messages import ParamGet, ParamReply, ParamSet, ParamStored
 from protocol.signals import Flag
@@ -71,7 +71,7 @@ def set_own_value(device: Device) -> str:
     return f"{len(records)} parameters set to their present values, and unchanged"
 
 
-def _refused(device: Device, record: Channel, value: float, code: ErrorCode, detail: float) -> str:
+def value_refused(device: Device, record: Channel, value: float, code: ErrorCode, detail: float) -> str:
     """Evidence that a value is refused and nothing changes; the value is restored whatever happens."""
     before = device.parameter(record).value
     try:
@@ -89,7 +89,7 @@ def read_only(device: Device) -> Iterator[str]:
     record = device.parameters(Flag.READ_ONLY)[0]
     told = device.parameter(record)
     values = (told.value, math.nan, _beyond(told.hi, math.inf))
-    return (_refused(device, record, value, ErrorCode.READ_ONLY, record.id) for value in values)
+    return (value_refused(device, record, value, ErrorCode.READ_ONLY, record.id) for value in values)
 
 
 @check("not-finite", "5.29 5.26")
@@ -97,7 +97,7 @@ def not_finite(device: Device) -> Iterator[str]:
     """NaN and infinity are refused before the range is checked."""
     records = device.parameters(without=Flag.READ_ONLY)[:SOME]
     return (
-        _refused(device, record, value, ErrorCode.BAD_VALUE, value)
+        value_refused(device, record, value, ErrorCode.BAD_VALUE, value)
         for record in records
         for value in (math.nan, math.inf, -math.inf)
     )
@@ -109,7 +109,7 @@ def whole(device: Device) -> Iterator[str]:
     for record in device.parameters(Flag.WHOLE, Flag.READ_ONLY)[:SOME]:
         told = device.parameter(record)
         values = [told.value + (0.5 if told.value < told.hi else -0.5), told.hi + 1.5]
-        yield from (_refused(device, record, v, ErrorCode.BAD_VALUE, v) for v in values if abs(v) < 1 << 22)
+        yield from (value_refused(device, record, v, ErrorCode.BAD_VALUE, v) for v in values if abs(v) < 1 << 22)
 
 
 @check("beyond-range", "5.31 5.33")
@@ -122,7 +122,7 @@ def beyond_range(device: Device) -> list[str]:
             whole_number = record.flags & Flag.WHOLE
             value = limit + math.copysign(1.0, direction) if whole_number else _beyond(limit, direction)
             if math.isfinite(value) and value != limit:
-                words.append(_refused(device, record, value, ErrorCode.OUT_OF_RANGE, limit))
+                words.append(value_refused(device, record, value, ErrorCode.OUT_OF_RANGE, limit))
     if not words:
         raise NotApplicable("every float32 is within range")
     return words
@@ -133,11 +133,96 @@ def _beyond(limit: float, direction: float) -> float:
         return float(np.nextafter(np.float32(limit), np.float32(direction)))
 
 
+GROUPS = Flag.IDENTITY | Flag.CALIBRATION | Flag.TUNING | Flag.LIMITS
+LASTING = ("i_cont", "i2t_max", "u_test_max")
+PASSING = (
+    "forced", "forced_speed", "forced_angle", "forced_slope", "test", "test_voltage", "test_current", "test_speed",
+    "test_periods",
+)  # fmt: skip
+"""Parameters that a device with the feature COMMISSION has: those that stay, and those that are VOLATILE."""
+
+
+@check("groups", "9.13")
+def groups(device: Device) -> str:
+    """A parameter is in one group at most."""
+    found = [record for record in device.parameters() if record.flags & GROUPS]
+    if not found:
+        raise NotApplicable("no parameter is in a group")
+    for record in found:
+        if (record.flags & GROUPS).bit_count() > 1:
+            raise Failed(f"{record.name} has flags 0x{int(record.flags):x}: more than one group")
+    return f"{len(found)} of {len(device.parameters())} parameters are in a group, each in one"
+
+
+@check("of-commissioning", "20.5")
+def of_commissioning(device: Device) -> str:
+    """A device that can be commissioned has all parameters for it, VOLATILE but for those that protect."""
+    device.require(Feature.COMMISSION)
+    due = dict.fromkeys(LASTING, False) | dict.fromkeys(PASSING, True)
+    if device.named("test_length") or device.offers(Feature.WAVEFORM):
+        due["test_length"] = True
+    for name, volatile in due.items():
+        record = device.named(name)
+        if record is None:
+            raise Failed(f"there is no parameter {name}")
+        if bool(record.flags & Flag.VOLATILE) != volatile:
+            raise Failed(f"{name} is {'not ' * volatile}VOLATILE")
+    return f"{len(due)} parameters, of which {sum(due.values())} are VOLATILE"
+
+
+def changed(device: Device, record: Channel) -> float:
+    """Set a parameter to another value within its range; the value that is stored. Raises Unknown where it cannot be.
+
+    Whoever calls puts it back.
+    """
+    told = device.parameter(record)
+    values = [told.lo, told.hi, float(np.float32((told.lo + told.hi) / 2))]
+    for value in (round(v) if record.flags & Flag.WHOLE else v for v in values):
+        if value == told.value:
+            continue
+        answer = device.set(record, value)
+        if answer.error is None:
+            return read(answer.frame, ParamStored).stored
+    raise Unknown(f"{record.name} cannot be set to another value")
+
+
+def harmless(device: Device) -> Channel:
+    """A parameter that nothing depends on while the outputs are off. Raises NotApplicable."""
+    for name in ("forced_angle", "test_periods", "watchdog"):
+        record = device.named(name)
+        if record is not None and not record.flags & Flag.READ_ONLY:
+            return record
+    raise NotApplicable("no parameter that does nothing while the outputs are off")
+
+
+@check("changes-told", "5.52")
+def changes_told(device: Device) -> str:
+    """A value that changes has its EVENT PARAM_CHANGED, with id and value; one that stays has none."""
+    if not device.hello.minor:
+        raise NotApplicable("the device speaks HBP 1.0")
+    record = harmless(device)
+    before = device.parameter(record).value
+    for _ in range(2):  # a device may drop one
+        since = len(device.events(EventCode.PARAM_CHANGED))
+        try:
+            other = changed(device, record)
+            require_granted(device.set(record, other), f"{record.name} = {other:g}, again")
+            require_granted(device.set(record, before), f"{record.name} = {before:g}")
+            device.fresh()
+        finally:
+            device.put_back(record, before)
+        told = [(event.arg, event.detail) for event in device.events(EventCode.PARAM_CHANGED)[since:]]
+        due = [(record.id, other), (record.id, before)]
+        if told == due:
+            return f"{record.name} (id {record.id}) = {other:g}, {other:g}, {before:g}: two EVENTs PARAM_CHANGED"
+        if not set(told) <= set(due) or len(told) > len(due):
+            break
+    raise Failed(f"{record.name} = {other:g}, {other:g}, {before:g}: EVENTs PARAM_CHANGED {told}, not {due}")
+
+
 @check("commit", "5.34 5.44")
 def commit(device: Device) -> str:
     """Without the feature COMMIT, PARAM_COMMIT is refused; with it, nothing is tried."""
-    from protocol.messages import Feature
-
     if device.hello.features & Feature.COMMIT:
         raise NotApplicable("parameters can be stored: not tried")
     return device.probe.refused(ErrorCode.NOT_SUPPORTED, 0, MessageType.PARAM_COMMIT)

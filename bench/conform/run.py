@@ -39,7 +39,7 @@ OUTAGE = 3  # times that HELLO is tried for 2.5 s: a link that is out for less i
 ATTEMPTS = 3  # at a check, where this program was held up
 CHECK_TAKES = 30.0  # s at most, and on a UART as long as this many bytes take:
 CHECK_BYTES = 60_000
-MOST = 150.0  # s, and as long on a UART as ten times that; what is not run by then is unknown
+MOST = 200.0  # s, and as long on a UART as ten times that; what is not run by then is unknown
 
 
 @dataclass(frozen=True)
@@ -120,6 +120,7 @@ def conform(
             raise NoReply(forbidden or f"{options.target}: {ended}") from None
         run = Run(options, device.hello, line.bus)
         try:
+            device.look_at_capture()
             _Course(run, rig, device, screen, told, forbidden).go()
         finally:  # another host has talked on this link
             rig.signal.uninterrupted(lambda: failures_of([client.connect]))
@@ -159,7 +160,11 @@ class _Course:
 
     def go(self) -> None:
         """All of them; if it cannot go on, the rest is unknown."""
-        self._all()
+        try:
+            self._all()
+        finally:
+            with suppress(Ended, LinkError):
+                self._device.give_up_capture()
         self._run.troubles += [f"not restored: {words}" for words in self._device.not_put_back]
 
     def _all(self) -> None:

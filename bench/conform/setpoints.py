@@ -82,7 +82,7 @@ def unanswered(device: Device) -> str:
 @check("value2-unused", "8.7")
 def value2_unused(device: Device) -> str:
     """SPEED 0 with a finite value2, which SPEED does not use without the feature COMMISSION, is accepted."""
-    if device.hello.features & Feature.COMMISSION:
+    if device.offers(Feature.COMMISSION):
         raise NotApplicable("value2 of SPEED is i_d: the device has COMMISSION")
     device.run()
     if not is_taken(device, SetpointMode.SPEED, 0x0101):
@@ -109,26 +109,26 @@ def accepted(device: Device) -> str:
 @check("rejections", "8.1 8.3 8.4 8.5 8.12")
 def rejections(device: Device) -> Iterator[str]:
     """State, finite values, mode: an EVENT reports the first that is wrong."""
-    yield _rejected(device, "zero in IDLE", (1, 7), ErrorCode.WRONG_STATE, DriveState.IDLE)
-    yield _rejected(device, "NaN in IDLE", (1, 8, 0.0, math.nan), ErrorCode.WRONG_STATE, DriveState.IDLE)
+    yield rejected(device, "zero in IDLE", (1, 7), ErrorCode.WRONG_STATE, DriveState.IDLE)
+    yield rejected(device, "NaN in IDLE", (1, 8, 0.0, math.nan), ErrorCode.WRONG_STATE, DriveState.IDLE)
     device.arm()
-    yield _rejected(device, "zero in ARMED", (1, 8), ErrorCode.WRONG_STATE, DriveState.ARMED)
+    yield rejected(device, "zero in ARMED", (1, 8), ErrorCode.WRONG_STATE, DriveState.ARMED)
     device.rest()
     device.run()
     mode = accepted_mode(device)
     nan = (mode, 9, 0.0, math.nan)
-    yield _rejected(device, f"{mode.name} 0 with value2 NaN", nan, ErrorCode.BAD_VALUE, math.nan)
+    yield rejected(device, f"{mode.name} 0 with value2 NaN", nan, ErrorCode.BAD_VALUE, math.nan)
     both = (mode, 9, math.inf, math.nan)
-    yield _rejected(device, f"{mode.name} inf with value2 NaN", both, ErrorCode.BAD_VALUE, math.inf)
+    yield rejected(device, f"{mode.name} inf with value2 NaN", both, ErrorCode.BAD_VALUE, math.inf)
     second = (SetpointMode.SPEED, 9, 0.0, -math.inf)
-    yield _rejected(device, "SPEED 0 with value2 -inf", second, ErrorCode.BAD_VALUE, -math.inf)
+    yield rejected(device, "SPEED 0 with value2 -inf", second, ErrorCode.BAD_VALUE, -math.inf)
     unknown = (NO_MODE, 10, 0.0, math.inf)
-    yield _rejected(device, f"mode {NO_MODE} with value2 inf", unknown, ErrorCode.BAD_VALUE, math.inf)
-    yield _rejected(device, f"mode {NO_MODE}", (NO_MODE, 11), ErrorCode.NOT_SUPPORTED, NO_MODE)
-    yield _rejected(device, "mode 0 with 1e30", (0, 12, 1e30, 0.0), ErrorCode.NOT_SUPPORTED, 0)
+    yield rejected(device, f"mode {NO_MODE} with value2 inf", unknown, ErrorCode.BAD_VALUE, math.inf)
+    yield rejected(device, f"mode {NO_MODE}", (NO_MODE, 11), ErrorCode.NOT_SUPPORTED, NO_MODE)
+    yield rejected(device, "mode 0 with 1e30", (0, 12, 1e30, 0.0), ErrorCode.NOT_SUPPORTED, 0)
 
 
-def _rejected(
+def rejected(
     device: Device,
     what: str,
     given: tuple[int, int] | tuple[int, int, float, float],
@@ -136,13 +136,14 @@ def _rejected(
     detail: float,
     again: bool = True,
 ) -> str:
+    """Evidence that a setpoint (mode, counter, value, value2) is rejected with this code and detail. Raises Failed."""
     since, began = len(device.events(EventCode.SETPOINT_REJECTED)), device.probe.tick()[0]
     beat = send(device, *given)
     if beat.setpoint_counter == given[1]:
         raise Failed(f"{what}: setpoint_counter is {given[1]}, so it was accepted")
     events = device.events(EventCode.SETPOINT_REJECTED)[since:]
     if not events and again:  # a device may drop one
-        return _rejected(device, what, given, code, detail, again=False)
+        return rejected(device, what, given, code, detail, again=False)
     if not events:
         raise Failed(f"{what}: no EVENT SETPOINT_REJECTED received, twice, although the link had room")
     if not _says(events[0], code, detail):

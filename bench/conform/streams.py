@@ -13,7 +13,7 @@ from bench.conform.lines import BusLine
 from bench.conform.probe import accepted, read, refusal
 from bench.conform.verdicts import Failed, NotApplicable, Unknown
 from protocol.canmap.layout import sample_layout
-from protocol.codes import ErrorCode, MessageType, StreamEvent
+from protocol.codes import ErrorCode, Feature, MessageType, StreamEvent
 from protocol.messages import StreamGet, StreamInfo, StreamReply
 from protocol.signals import Flag
 from protocol.streams import MAX_DECIMATION, STREAM_HEADER
@@ -32,7 +32,7 @@ def absent(device: Device) -> int:
     return next(n for n in range(ABSENT, 0, -1) if n not in taken)
 
 
-@check("set-refusals", "11.18 11.13 11.19 11.20 11.21 11.22 11.23 11.24 11.25")
+@check("set-refusals", "11.18 11.13 11.19 11.20 11.21 11.22 11.23 11.24 11.25 11.51")
 def set_refusals(device: Device) -> Iterator[str]:
     """Each error in STREAM_SET is refused with its code and detail."""
     first, other = device.channels[0].id, absent(device)
@@ -49,6 +49,15 @@ def set_refusals(device: Device) -> Iterator[str]:
         rows.append(("edges with two channels", (0, [first, first], 1, 20, 2), ErrorCode.BAD_VALUE, 2))
     else:
         rows.append(("edges", (0, [], 1, 20, 2), ErrorCode.NOT_SUPPORTED, 2))
+    if device.offers(Feature.MEANS):
+        rows += [
+            ("means with decimation 0", (0, [first], 0, 20, 3), ErrorCode.BAD_VALUE, 0),
+            ("means of no channels", (0, [], 1, 20, 3), ErrorCode.BAD_VALUE, 0),
+            (f"means of channel {other}", (0, [first, other], 1, 20, 3), ErrorCode.UNKNOWN_ID, other),
+            (f"means of channel {first} twice", (0, [first, first], 1, 20, 3), ErrorCode.BAD_VALUE, first),
+        ]
+    else:
+        rows.append(("means", (0, [first], 1, 20, 3), ErrorCode.NOT_SUPPORTED, 3))
     return (refusal(device.stream_set(*asked), code, detail, words) for words, asked, code, detail in rows)
 
 
@@ -392,7 +401,7 @@ def start_again(device: Device) -> str:
 @check("edges-set", "11.12 11.11")
 def edges_set(device: Device) -> Iterator[str]:
     """A stream of edges accepts any decimation."""
-    device.require_edges()
+    device.require(Feature.EDGES)
     for decimation in (0, 7):
         answer = device.stream_set(1, (), decimation, 20, StreamEvent.EDGES)
         if answer.error is not None and answer.error.code == ErrorCode.DOES_NOT_FIT:

@@ -64,6 +64,7 @@ FRESH = 0.3  # s without a frame from a node after which its ALIVE is withheld: 
 WATCHDOG = 0.2  # s: what a drive waits for ALIVE if it has no parameter that says otherwise
 POLL = 0.02  # s: how long one turn waits for bytes
 SETTLE = 0.02  # s: how long a turn goes on collecting once bytes come
+LATE = 0.01  # s: how much longer that may take on a link of hardware
 REOPEN_PERIOD = 0.1  # s between attempts to open a link that went away
 QUIET = 1.0  # s without a stream frame after which none is under way; a CAN device gives them up after 0.5 s
 PAUSE = 0.1  # s without a turn from which on this program was paused
@@ -336,18 +337,19 @@ class Client:
 
     # -- the loop -----------------------------------------------------------------------------------------------
 
-    def poll(self, timeout: float = POLL) -> None:
+    def poll(self, timeout: float = POLL, collect: bool = True) -> None:
         """One turn: read for at most `timeout` s, handle what came, retry, feed the watchdog, send.
 
+        Once bytes come it goes on collecting for as long again, and `LATE` more, unless it is not to `collect`.
         The clients beside this one get theirs too, so that no watchdog of theirs runs out while this one waits; what is
         wrong with their links is told when they are polled themselves.
         """
-        self._turn(timeout)
+        self._turn(timeout, collect)
         for other in self.beside:
             with suppress(LinkError):
                 other._turn(0.0)
 
-    def _turn(self, timeout: float) -> None:
+    def _turn(self, timeout: float, collect: bool = True) -> None:
         if self.health.down_since is not None and self.now() - self.health.down_since > self.reconnect:
             raise LinkClosed(f"{self.link.name} did not return within {self.reconnect:g} s")
         if self._must_open:
@@ -356,7 +358,7 @@ class Client:
             return
         try:
             self._flush()
-            settle = 0.0 if self.session.busy else min(timeout, SETTLE)
+            settle = 0.0 if self.session.busy or not collect else min(timeout, SETTLE)
             data = self.link.read(timeout, settle)
             now = self.now()
             self._note_pause(now - self._polled - timeout - settle)
@@ -504,6 +506,13 @@ class Client:
     def newest(self, node: int) -> int:
         """The newest device time that was heard of `node`, in ticks; 0 before any."""
         return max(self._clocks.get(node, {}).values(), default=0)
+
+    def late(self, node: int) -> int:
+        """By how many ticks samples of `node` that are streamed now come later than its heartbeats; 0 without any."""
+        clocks, streams = self._clocks.get(node, {}), self._streams.get(node, _NO_STREAMS)
+        sampled = [number for number, decoder in streams.decoders.items() if decoder.config.channels]
+        newest = [clocks[number] for number in sampled if number in clocks]
+        return max(0, clocks.get(None, 0) - max(newest)) if newest else 0
 
     # -- streams ------------------------------------------------------------------------------------------------
 

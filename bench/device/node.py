@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import NoReturn
@@ -17,9 +17,11 @@ from zlib import crc32
 
 import numpy as np
 
+from bench.device.blob import DESCRIPTOR, MEANINGS, WAVEFORM, part_bytes, read_part
 from bench.device.client import WATCHDOG, Client
 from bench.device.heard import ParameterSet
 from bench.device.safety import HEARTBEATS, Vigil, heard, says, switch_off, why_unfed, without_watchdog
+from bench.device.under_way import TRIES, WAIT, UnderWay
 from bench.errors import DoesNotFit, DriveFailed, NodeError, OutputsMayBeOn
 from protocol.canmap.host import CanWire
 from protocol.canmap.layout import EDGES_PER_SECOND, edge_load
@@ -29,8 +31,6 @@ from protocol.descriptor import Channel, Descriptor
 from protocol.errors import DeviceDefect, HbpError, NoReply, Refused
 from protocol.framing import MAX_PAYLOAD
 from protocol.messages import (
-    BlobRead,
-    BlobReply,
     BlobWrite,
     Command,
     DriveState,
@@ -65,19 +65,13 @@ from protocol.signals import Flag
 from protocol.streams import MAX_STREAMS, STREAM_HEADER, StreamConfig
 from protocol.text import counted, printable
 from protocol.validity import check_parameter
-from protocol.wire import ByteWire
 
 DRIVE, LOAD = 1, 2
 SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
 MAX_LATENCY_MS = 20  # with which the bench configures streams
 DUE = 0.15  # s after which the next heartbeat is late
-MEANINGS = 3  # blob
 MOST_BLOB = 1 << 20  # bytes of a blob that is read at once
-WAVEFORM = 4  # the blob of the test signal's samples
-_BLOB_PART = 512
-_PART_TAKES = 0.05  # s, at most, that a part is under way on a UART: the request is repeated after 0.1 s
-_SMALLEST_PART = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +87,10 @@ class ClockFit:
         """Host time in s of a device tick."""
         return self.host + (tick - self.tick) / self.tick_hz
 
+    def device_tick(self, host: float) -> int:
+        """Device tick at a host time in s."""
+        return round(self.tick + (host - self.host) * self.tick_hz)
+
 
 class Node:
     """Device number `number` on `client`'s link."""
@@ -106,6 +104,8 @@ class Node:
         self._descriptor: Descriptor | None = None
         self._streams: dict[int, StreamSet] = {}
         self._vigil: Vigil | None = None  # while it should run
+        self._counter: int | None = None  # of the last setpoint
+        self._under_way: UnderWay | None = None  # setpoints that are not waited for
         self.stopped_for = ""
         """Why it is stopped, for OutputsMayBeOn to name; until it is off."""
         self.load = 0.0
@@ -133,7 +133,7 @@ class Node:
         self._identity = self._descriptor = None
 
     def _read_descriptor(self) -> Descriptor:
-        blob = self._read_blob(0, "the descriptor")
+        blob = self._read_blob(DESCRIPTOR, "the descriptor")
         if (crc := crc32(blob)) != self.identity.schema_crc:
             raise NodeError(
                 f"the descriptor of node {self.number} has CRC {crc:08x}, HELLO announced "
@@ -154,11 +154,9 @@ class Node:
         return {name: printable(meaning) for name, _, meaning in pairs if name and meaning}
 
     def _read_blob(self, number: int, what: str) -> bytes:
-        blob = b""
-        total = 1
-        part = self._blob_part()
+        blob, total, part = b"", 1, part_bytes(self.client.session.wire)
         while len(blob) < total:
-            reply = self.client.request(BlobRead(id=number, length=part, offset=len(blob)), self.number, BlobReply)
+            reply = read_part(self.client, self.number, number, len(blob), part)
             total = reply.total
             if not reply.data and total:
                 raise NodeError(f"{what} of node {self.number} ends at {len(blob)} of {total} bytes")
@@ -167,26 +165,20 @@ class Node:
                 raise NodeError(f"{what} of node {self.number} is said to have {total} bytes: more than {MOST_BLOB}")
         return blob
 
-    def _blob_part(self) -> int:
-        """Bytes of a blob that are asked for, or written, at once: so many that a UART has carried them in time."""
-        wire = self.client.session.wire
-        in_time = wire.baud / 10 * _PART_TAKES if isinstance(wire, ByteWire) else _BLOB_PART
-        return int(min(_BLOB_PART, max(in_time, _SMALLEST_PART)))
-
     def waveform_room(self) -> int:
         """Samples that the waveform of the test signal may have. Needs the feature WAVEFORM."""
-        return self.client.request(BlobRead(WAVEFORM, 0, 0), self.number, BlobReply).total // 2
+        return read_part(self.client, self.number, WAVEFORM, 0, 0).total // 2
 
     def write_waveform(self, data: bytes) -> None:
         """Write the samples of the test signal (i16), from the first on, and read them back; NodeError if they differ.
 
         Needs the feature WAVEFORM.
         """
-        part = min(self._blob_part(), self.identity.rx_max - BlobWrite.FIXED_BYTES)
+        part = min(part_bytes(self.client.session.wire), self.identity.rx_max - BlobWrite.FIXED_BYTES)
         for at in range(0, len(data), part):
             piece = data[at : at + part]
             self.client.request(BlobWrite(WAVEFORM, len(piece), at, piece), self.number, Empty)
-            back = self.client.request(BlobRead(WAVEFORM, len(piece), at), self.number, BlobReply).data
+            back = read_part(self.client, self.number, WAVEFORM, at, len(piece)).data
             if back != piece[: len(back)]:
                 raise NodeError(f"node {self.number} does not hold the waveform that was written to it")
 
@@ -209,6 +201,11 @@ class Node:
     def offers_edges(self) -> bool:
         """Whether it can stream Hall edges."""
         return bool(self.identity.features & Feature.EDGES)
+
+    @property
+    def offers_capture(self) -> bool:
+        """Whether it holds samples in its own memory until a trigger freezes them."""
+        return bool(self.identity.features & Feature.CAPTURE)
 
     def parameters(self) -> dict[str, float]:
         """All parameters by name. Raises DeviceDefect if one of the values cannot be."""
@@ -446,20 +443,23 @@ class Node:
     ) -> None:
         """Send a setpoint until a heartbeat confirms it, or `unless()` holds, which is asked meanwhile.
 
-        NodeError if it is rejected, NoReply if it is not confirmed.
+        NodeError if it is rejected, NoReply if it is not confirmed. Within `unwaited` it is sent, and that is all.
         """
-        for _ in range(3):
-            heartbeat = self.client.heartbeats.get(self.number) or self.next_heartbeat()
-            counter = (heartbeat.setpoint_counter if heartbeat else 0) % 0xFFFF + 1  # not an earlier host's
+        if self._under_way is not None:
+            self._under_way.send(self._next_setpoint(mode, value, value2))
+            return
+        for _ in range(TRIES):
+            setpoint = self._next_setpoint(mode, value, value2)
+            heartbeat = self.client.heartbeats.get(self.number)
             rejected = heartbeat.setpoints_rejected if heartbeat else 0
             self.client.rejections.pop(self.number, None)
-            self.client.session.send(Setpoint(mode, counter, value, value2), self.number)  # a heartbeat tells its fate
+            self.client.session.send(setpoint, self.number)  # a heartbeat tells its fate
 
-            def answered(counter: int = counter, rejected: int = rejected) -> bool:
+            def answered(counter: int = setpoint.counter, rejected: int = rejected) -> bool:
                 now = self.client.heartbeats.get(self.number)
                 return now is not None and (now.setpoint_counter == counter or now.setpoints_rejected != rejected)
 
-            if self.client.wait(lambda: unless() or answered(), 0.35):
+            if self.client.wait(lambda: unless() or answered(), WAIT):
                 if not answered():
                     return
                 confirmed = self.client.heartbeats[self.number]
@@ -467,17 +467,42 @@ class Node:
                     self.stop()
                     self.client.listen(self.number)
                     raise DriveFailed(f"node {self.number} has rebooted")
-                if confirmed.setpoint_counter == counter:
+                if confirmed.setpoint_counter == setpoint.counter:
                     return
-                if self._vigil is not None and (why := self._vigil.not_running(confirmed)):
-                    raise DriveFailed(f"node {self.number} {why}")
-                if tripped := self._tripped(confirmed):
-                    raise NodeError(f"node {self.number} took no setpoint, because {tripped}")
-                raise NodeError(
-                    f"node {self.number} rejected the setpoint {mode.name} {value:g}: {self._why_rejected()} "
-                    f"(state {confirmed.state.name}, faults: {self.fault_text()})"
-                )
-        raise NoReply(f"node {self.number} on {self.client.link.name} confirmed no setpoint in 3 tries")
+                raise self._rejection(confirmed, setpoint)
+        raise NoReply(f"node {self.number} on {self.client.link.name} confirmed no setpoint in {TRIES} tries")
+
+    @contextmanager
+    def unwaited(self) -> Iterator[None]:
+        """Within this, setpoints are not waited for: `watch_setpoints`, in every turn, sees what became of them."""
+        self._under_way = UnderWay(self.client, self.number, self._rejection)
+        try:
+            yield
+        finally:
+            self._under_way = None
+
+    def watch_setpoints(self) -> None:
+        """Within `unwaited`: see by its heartbeats what became of setpoints. Raises as `setpoint` does."""
+        if self._under_way is not None:
+            self._under_way.watch(self.setpoint)
+
+    def _next_setpoint(self, mode: SetpointMode, value: float, value2: float) -> Setpoint:
+        """One with a counter that the heartbeats do not tell yet, nor told of an earlier host."""
+        heartbeat = self.client.heartbeats.get(self.number) or self.next_heartbeat()
+        before = self._counter if self._counter is not None else heartbeat.setpoint_counter if heartbeat else 0
+        self._counter = before % 0xFFFF + 1
+        return Setpoint(mode, self._counter, value, value2)
+
+    def _rejection(self, heartbeat: Heartbeat, setpoint: Setpoint) -> NodeError:
+        """The error of a setpoint that was rejected, as this heartbeat tells."""
+        if self._vigil is not None and (why := self._vigil.not_running(heartbeat)):
+            return DriveFailed(f"node {self.number} {why}")
+        if tripped := self._tripped(heartbeat):
+            return NodeError(f"node {self.number} took no setpoint, because {tripped}")
+        return NodeError(
+            f"node {self.number} rejected the setpoint {setpoint.mode.name} {setpoint.value:g}: {self._why_rejected()} "
+            f"(state {heartbeat.state.name}, faults: {self.fault_text()})"
+        )
 
     def _why_rejected(self) -> str:
         event = self.client.rejections.get(self.number)
@@ -523,6 +548,7 @@ class Node:
             self.client.request(StreamStop(ALL_STREAMS), self.number, Empty)
         finally:
             self._streams.clear()
+            self.load = 0.0
             self.client.end_streams(self.number, last)
 
     def set_samples(self, channels: tuple[Channel, ...], decimation: int) -> StreamConfig:

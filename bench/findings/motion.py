@@ -116,7 +116,7 @@ class SpeedHeld:
         self._asked: list[_Asked] = []
 
     def ask(self, speed_rpm: float, load_a: float, title: str) -> None:
-        """From now on this speed is asked for, and this load."""
+        """From now on this speed is asked for, and this load; NaN: none, or none that is held long enough to judge."""
         self._asked.append(_Asked(speed_rpm, load_a, title))
 
     def add(self, look: Look) -> None:
@@ -147,9 +147,9 @@ class SpeedHeld:
         """Speeds of which it was not seen whether they are held, each with the reason."""
         unseen: dict[str, list[str]] = {}
         for asked in self._asked:
-            if why := self._not_told(asked):
+            if math.isfinite(asked.speed_rpm) and (why := self._not_told(asked)):
                 unseen.setdefault(why, []).append(f"{asked.speed_rpm:g}")
-        return [f"whether {', '.join(speeds)} r/min are held ({why})" for why, speeds in unseen.items()]
+        return [f"whether {', '.join(dict.fromkeys(of))} r/min are held ({why})" for why, of in unseen.items()]
 
     def _not_told(self, asked: _Asked) -> str:
         """Why it was not seen whether this speed is held; empty where it was."""

@@ -59,7 +59,7 @@ def read(rig: Rig) -> Capture:
     first, end = rig.tick(), rig.client.now() + READS
     while True:
         rig.wait(LOOK)
-        capture = rig.capture(first, rig.recorder.newest)
+        capture = rig.between(first, rig.recorder.newest)
         if len(np.unique(capture.samples.raw["lesson_ek"])) >= len(LESSONS) or rig.client.now() > end:
             return capture
 

@@ -41,4 +41,4 @@ def watch(rig: Rig, seconds: float, progress: Callable[[str], None]) -> Turned:
             progress(f"turn the shaft by hand: {turned}, {left:.0f} s left")
             if gone.enough:
                 break
-    return Turned(rig.capture(first, rig.recorder.newest), "by hand", further=FURTHER)
+    return Turned(rig.between(first, rig.recorder.newest), "by hand", further=FURTHER)

@@ -113,7 +113,7 @@ class Turner:
                     break
             self._leave_clear()
         trips = [f"{what} at {', '.join(speeds)} r/min" for what, speeds in self._trips.items()]
-        capture = self._rig.capture(self._first, self._rig.recorder.newest)
+        capture = self._rig.between(self._first, self._rig.recorder.newest)
         return Turned(capture, ", then ".join(tried), (*trips, *self._remarks), FURTHER)
 
     # -- ways ---------------------------------------------------------------------------------------------------
@@ -243,7 +243,7 @@ class Turner:
     def _require_following(self, first: int, omega_m: float, seconds: float) -> None:
         if not self._rig.has_encoder:
             return
-        capture = self._rig.capture(first, self._rig.recorder.newest)
+        capture = self._rig.between(first, self._rig.recorder.newest)
         took = np.diff(capture.t)
         known = took < 1.5 / capture.rate  # what turned while samples were lost, an angle does not tell
         gone = float(np.diff(capture.theta)[known].sum()) * math.copysign(1.0, omega_m)

@@ -1,4 +1,4 @@
-"""`bench live` without the command line: watch a drive, or turn it through acts, in a `Rig`, and sum the run up.
+"""`bench live` without the command line: watch a drive, or play a motion profile on it, in a `Rig`, and sum up.
 
 The rig looks, energises, watches, and ends with the outputs off; where STOP cannot arrive (the link is gone, the
 process was killed) the drive's own watchdog switches off, because only this process feeds it.
@@ -6,11 +6,13 @@ process was killed) the drive's own watchdog switches off, because only this pro
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 from bench.device.bus import BusMeter
 from bench.device.client import PAUSE
@@ -18,25 +20,30 @@ from bench.device.heard import Changes, Heard, Note, Sink
 from bench.device.node import LOAD
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, RecordingError
-from bench.files import check_output
+from bench.files import check_output, run_folder
 from bench.findings.motor import CODES as OF_MOTOR
 from bench.findings.thresholds import LOST_SHARE
+from bench.live.at_fault import AtFault
 from bench.live.distrust import Distrust
 from bench.live.gathered import Gathered
-from bench.live.manoeuvres import Act, timed
-from bench.live.options import WATCHING, LiveOptions
+from bench.live.options import LiveOptions
 from bench.live.plausible import Plausibility
 from bench.live.summary import CpuMeter, RunStatistics, Summary, as_markdown, summarise
 from bench.live.triggers import Condition, Triggers
 from bench.live.tuner import KEYS, Tuner
+from bench.motion import profile
+from bench.motion.profile import Act, Course, Profile
+from bench.record.layout import fault_run
 from bench.record.ring import Stored
 from bench.rig.consent import check_limits, require_consent
-from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.lock import alone_on
 from bench.rig.needs import NEEDS, require
 from bench.rig.outcome import RunOutcome
 from bench.rig.outputs import Recording, load_beside, require_viewable
+from bench.rig.play import Player
+from bench.rig.played import Span
+from bench.rig.profile import check_profile, envelope_of, set_first
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.streams import decimation_of
@@ -45,7 +52,7 @@ from bench.signal.sources import source_number, source_short
 from bench.signal.units import RPM, pole_pairs
 from bench.signal.verdict import Verdict
 from protocol.descriptor import Channel
-from protocol.errors import HbpError, LinkError
+from protocol.errors import LinkError
 from protocol.host import HeartbeatReceived
 from protocol.links import open_link
 from protocol.streams import StreamConfig
@@ -82,7 +89,8 @@ class LiveRun:
     def __init__(self, options: LiveOptions, rig: Rig, target: str, screen: Screen) -> None:
         self.options, self.rig, self.target, self.screen = options, rig, target, screen
         self.client, self.node = rig.client, rig.drive.node
-        self.acts: tuple[Act, ...] = ()
+        self.asked: Profile | None = None
+        """What is done to the motor; None: it is only watched."""
         self._stats = RunStatistics(self.node.number)
         self._judge: Plausibility | None = None
         self._distrust = Distrust(self.node.number, self._doubted)
@@ -93,6 +101,7 @@ class LiveRun:
         self._last_samples = (0, 0.0)
         self._silent = False
         self._pauses = 0  # of this program, when it last looked
+        self._at_fault = AtFault(self.node, target, options.settings, screen, options.save, not options.embedded)
 
     # -- before anything moves ----------------------------------------------------------------------------------
 
@@ -105,26 +114,32 @@ class LiveRun:
             f"HBP {hello.major}.{hello.minor}, PWM {hello.pwm_hz} Hz, "
             f"{len(self.node.descriptor.channels)} channels, state {hello.state.name}"
         )
-        if options.load_a is not None or options.show:
-            load = self.rig.load_machine()
-            if load is None:
-                raise BenchError(f"--load needs a load machine (node {LOAD}), and {self.target} has none")
-            self.rig.load = load
+        self._at_fault.look()
         if options.tune:
             self._tuning = Tuning(self.rig.drive, options.tune, lambda name, tick: self.rig.drive.marked(name, tick))
-        self.acts = options.acts(self.rig)
-        if self.acts:
-            speed, load_a = (max(abs(getattr(act, of)) for act in self.acts) for of in ("speed_rpm", "load_a"))
-            self.rig.drive.envelope = Envelope(speed, options.current, load_a)
+        self.asked = options.asked(self.node)
+        if self.asked is None:
+            return
+        envelope = self.rig.drive.envelope = envelope_of(self.asked, options.current, self.node)
+        if self.asked.loads:
+            load = self.rig.load_machine()
+            if load is None:
+                what = "--load" if options.profile is None else options.profile.source
+                raise BenchError(f"{what} needs a load machine (node {LOAD}), and {self.target} has none")
+            load.envelope = envelope
+            self.rig.load = load
 
     def agree(self, confirm: Callable[[str], bool] | None) -> None:
         """What the drive lacks (NodeError), limits and consent: raises before anything is energised."""
         options, envelope = self.options, self.rig.drive.envelope
-        if self.acts:
+        if self.asked is not None:
             if options.load_a is not None:
                 require(self.node, "--load", NEEDS["--load"])
             if options.observer:
                 require(self.node, "--observer", [f"observer:{options.observer}"])
+            if options.profile is not None:
+                for words in check_profile(self.asked, self.rig.drive, self.rig.load):
+                    self.screen.note(words)
             check_limits(self.node, envelope)
             if envelope.load > envelope.current:
                 load, current = f"load {envelope.load:g} A", f"the {envelope.current:g} A that the motor may get"
@@ -222,9 +237,11 @@ class LiveRun:
             watching.append(Changes(self.node.number, augmenter.change))
         self._gathered = Gathered(watching)
         rig.clock = self.node.clock_fit()
+        profile_file = "" if options.profile is None else options.profile.source
+        about = {name: words for name, words in (("note", options.note), ("profile", profile_file)) if words}
         recording = Recording(
-            options.save, {"note": options.note} if options.note else {}, options.viewer, options.overwrite,
-            options.web_port, Stored(options.keep, options.split),
+            options.save, about, options.viewer, options.overwrite, options.web_port,
+            Stored(options.keep, options.split),
         )  # fmt: skip
         sinks: list[Sink] = [_ScreenNotes(self.screen), self._stats.dates, self._gathered]
         outputs = rig.record_to(recording, sinks, added)
@@ -249,7 +266,7 @@ class LiveRun:
 
         Else one that has just come will do, if nothing was streamed then.
         """
-        beat = None if self.acts or self.client.unasked else self.node.recent_heartbeat()
+        beat = None if self.asked or self.client.unasked else self.node.recent_heartbeat()
         if beat is None:
             self.node.next_heartbeat()
         else:
@@ -281,7 +298,7 @@ class LiveRun:
     # -- the motor ----------------------------------------------------------------------------------------------
 
     def go(self, report: Callable[[Summary], None], hold: bool) -> LiveOutcome:
-        """Perform the acts, switch off, sum up."""
+        """Play what was asked for, switch off, sum up."""
         rig, outputs = self.rig, self.rig.outputs
         assert outputs is not None
         cpu, started, meter = CpuMeter(), self.client.now(), BusMeter(self.client)
@@ -292,7 +309,7 @@ class LiveRun:
         finally:
             self._gathered.flush()
             self._tell_tuned()
-            self._commands(not self.acts)
+            self._commands(self.asked is None)
             duration, percent = self.client.now() - started, cpu.percent()
             bus = meter.report(self.node.load)
             rig.finish()
@@ -301,12 +318,14 @@ class LiveRun:
             rig.signal.uninterrupted(self._judge.hall.findings)
             self._tell_findings()
         ended = self._outcome(lost)
+        held = {} if lost else self._fetch()
         summary = summarise(
             self.target, self.client, self._stats, self.node.identity, duration, percent, outputs.latency, bus
         )
         summary.result = self._with_recording(ended).words
-        if self.acts:
+        if self.asked is not None:
             summary.outputs = "MAY STILL BE ON" if rig.unsafe else "off, by the drive's heartbeat"
+        summary.at_fault = held
         summary.asked = self._judge.speed.came() if self._judge else []
         summary.motor = self._judge.motor.told() if self._judge else {}
         doubts = self._distrust
@@ -332,6 +351,15 @@ class LiveRun:
             new = " ".join(f"{n}={v:.7g}" for n, v in self._tuning.items() if v != self._tuning.before[n])
             self.client.note(f"tuned: {changes}; now put back; to keep it: bench param set {self.target} {new}")
 
+    def _fetch(self) -> dict[str, Any]:
+        """What the drive held at a fault, kept beside the recording; a signal leaves it in the drive."""
+        try:
+            return self._at_fault.keep()
+        except (KeyboardInterrupt, Interrupted) as interrupt:
+            self.rig.signal.remember(interrupt)
+            self.screen.note("the drive still holds what came before the fault: bench capture --at-fault fetches it")
+            return {}
+
     def _commands(self, now: bool) -> None:
         """Whether the drive is told what to do in what comes from now on: its samples need not say."""
         self._stats.commanded = now
@@ -341,20 +369,22 @@ class LiveRun:
     def _perform_all(self) -> str:
         """All between start and stop of the streams; why the link was lost for good, if it was."""
         with self._tuner or nullcontext():
-            return self._perform_acts()
+            return self._play_all()
 
-    def _perform_acts(self) -> str:
-        rig = self.rig
+    def _play_all(self) -> str:
+        rig, seconds = self.rig, self.options.duration
         try:
             self.node.start_streams()
-            if self.acts:
-                rig.drive.limit_current()
-                for machine in reversed(rig.machines):  # the load machine first, so that it holds the shaft
-                    machine.energise()
-            end = self.client.now()
-            for act in timed(self.acts or (WATCHING,), self.options.duration):
-                end += act.seconds
-                self._perform(act, end)
+            if self.asked is None:
+                self._begun("watching")
+                rig.until(self._look, math.inf if seconds is None else seconds)
+                return ""
+            rig.drive.limit_current()
+            set_first(self.asked, rig.drive)
+            for machine in reversed(rig.machines):  # the load machine first, so that it holds the shaft
+                machine.energise()
+            player = Player(rig, self.asked.max_speed, self._act_begun, self._act_over, self._look)
+            player.play(self.asked.timed(seconds))
         except (KeyboardInterrupt, Interrupted) as interrupt:
             rig.signal.remember(interrupt)
         except LinkError as error:
@@ -365,25 +395,35 @@ class LiveRun:
             self.client.note(str(error), "ERROR")  # the result: see `_with_recording`
         return ""
 
-    def _perform(self, act: Act, end: float) -> None:
-        """One act: angle source, load and speed, then watch until the client's clock says `end`."""
-        rig = self.rig
+    def _begun(self, title: str) -> None:
+        """From now on, this is what goes on."""
         self._gathered.flush()
-        self._stats.segment = act.title
-        if not rig.tripped:
-            self.client.note(act.title)
-            if self._judge is not None and rig.drive.on:  # before it shows in the samples of the act before
-                self._judge.speed.ask(act.speed_rpm, act.load_a, act.title)
-            try:
-                if act.source is not None:
-                    rig.drive.set("observer", act.source)
-                if rig.load.abilities:
-                    rig.load.torque(rig.drive.torque_constant * act.load_a)
-                if rig.drive.on:
-                    rig.drive.speed(rpm=act.speed_rpm)
-            except (HbpError, BenchError) as error:
-                rig.let_go(str(error))
-        rig.until(self._look, end - self.client.now())
+        self._stats.segment = title
+        if not self.rig.tripped:
+            self.client.note(title)
+
+    def _act_begun(self, act: Act) -> None:
+        self._begun(act.title)
+        if self._judge is not None and self.rig.drive.on:  # before it shows in the samples that come from now on
+            speed = act.drive.last if act.drive.quantity == profile.SPEED and act.settles else math.nan
+            self._judge.speed.ask(speed, self._load_current(act), act.title)
+
+    def _load_current(self, act: Act) -> float:
+        """A of q current that the load takes at the end of an act; NaN where nobody knows."""
+        match act.load:
+            case Course(quantity=profile.LOAD_CURRENT, last=last):
+                return last
+            case Course(quantity=profile.LOAD_TORQUE, last=last):
+                with suppress(BenchError):  # a drive that does not tell what it takes
+                    return last / self.rig.drive.torque_constant
+                return math.nan
+            case Course(quantity=profile.LOAD_SPEED):
+                return math.nan
+        return 0.0
+
+    def _act_over(self, span: Span) -> None:
+        if self.options.speed_rpm is None and self.options.load_a is None:
+            self.rig.mark_step(span)
 
     def _look(self) -> bool:
         """See whether samples come, and show where the run is; it is never over."""
@@ -461,10 +501,10 @@ class LiveRun:
         judge = self._judge
         if judge is None:
             return Verdict.PASS, "ok", ()
-        wrong = judge.implausible(stats.errors) if self.acts else judge.at_rest()
+        wrong = judge.implausible(stats.errors) if self.asked else judge.at_rest()
         if found := tuple(finding.line for finding in wrong):
             return Verdict.FAIL, f"implausible: {'; '.join(found)}. {self._advice}", found
-        unseen = [*(judge.unverified() if self.acts else []), *self._lost()]
+        unseen = [*(judge.unverified() if self.asked else []), *self._lost()]
         return Verdict.PASS, f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", ()
 
     def _lost(self) -> Iterator[str]:
@@ -510,7 +550,8 @@ def run(
     """
     require_viewable(options.save, options.viewer)
     if options.save is not None:
-        check_output(options.save, str(options.save), options.overwrite, recording=True)
+        for each in (options.save, fault_run(run_folder(options.save))):
+            check_output(each, str(each), options.overwrite, recording=True)
     if options.estimate:
         from bench.replay.estimators import entry_of
 

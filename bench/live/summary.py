@@ -181,6 +181,8 @@ class Summary:
     first_sample_unix_s: float | None = None
     live_view: dict[str, Any] = field(default_factory=dict)
     recording: dict[str, Any] = field(default_factory=dict)
+    at_fault: dict[str, Any] = field(default_factory=dict)
+    """What the drive held at a fault, and the run that it became."""
     host_observers: dict[str, int] | None = None
     faults: list[str] = field(default_factory=list)
     distrusted: dict[str, float] | None = None
@@ -284,9 +286,9 @@ def asked_rows(summary: Summary) -> list[list[str]]:
     return [
         [
             came.title,
-            f"{came.speed_asked_rpm:g}",
+            number(came.speed_asked_rpm, "g"),
             number(came.speed_came_rpm, ".1f", "unknown"),
-            f"{came.load_asked_a:g}",
+            number(came.load_asked_a, ".4g"),
             number(came.i_q_came_a, ".2f", "unknown"),
         ]
         for came in summary.asked
@@ -325,6 +327,10 @@ def run_rows(summary: Summary) -> list[list[str]]:
         where = f"{kept['path']}" + (f" and {counted(kept['parts'] - 1, 'more part')}" if kept["parts"] > 1 else "")
         ring = f"; the last {kept['kept_s'] / 60:g} min are kept" if kept["kept_s"] else ""
         rows.append(["recorded", f"{kept['samples']} samples, {kept['edges']} edges in {where}{ring}"])
+    if summary.at_fault:
+        held = summary.at_fault
+        what = f"{1e3 * (held['last_s'] - held['first_s']):.0f} ms, {held['records']} samples, {held['edges']} edges"
+        rows.append(["held by the drive at the fault", f"{what} in {held['path']}"])
     if summary.host_observers:
         rows.append(
             [

@@ -6,6 +6,7 @@
     error_by_speed     position errors over the speed
     current_plane      i_d and i_q as a plane, with their references and the limit
     hall_edges         where the Hall edges lie, and where they belong
+    profile            what a motion profile asks for, before it is played
     looks              colours of estimates
     plot               all of them, to files
 

@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from bench.plot import current_plane, error_by_angle, error_by_speed, hall_edges, spectrum
+from bench.motion.read import read_profile
+from bench.plot import current_plane, error_by_angle, error_by_speed, hall_edges, profile, spectrum
 from bench.plot.motion import Motion, Piece
 from bench.record.layout import EDGES, SAMPLES
 from bench.record.reader import Run, captures
@@ -24,6 +25,7 @@ from bench.signal.position import position_error
 from protocol.streams import SampleChunk
 
 NAMES = ("spectrum", "error_by_angle", "error_by_speed", "current_plane", "hall_edges")
+PROFILE = "profile"
 NOT_STEADY = "the shaft never turns steadily above 10 r/min"
 AT_REST = "no Hall edge of a turning shaft: it was at rest"
 RECORD = "record all channels (bench live --save)"
@@ -73,6 +75,15 @@ def draw_all(run: Run, first: int, last: int) -> list[Plot]:
         if each.figure is not None:
             _title(each.figure, run, each.over or f"{run.at(first)} … {run.at(last)}")
     return drawn
+
+
+def draw_profile(path: Path) -> Plot:
+    """The figure of the motion profile in a file. BenchError where it is none."""
+    asked = read_profile(path)
+    figure = profile.draw(asked)
+    named = f"{path.name}, {asked.name}" if asked.name else path.name
+    figure.suptitle(f"{named}: {asked.seconds:g} s", fontsize=FONT_SIZE, color="0.3", x=0.01, ha="left")
+    return Plot(PROFILE, figure, words=profile.words(asked), numbers=profile.as_json(asked))
 
 
 def write(drawn: Plot, path: Path) -> None:

@@ -27,6 +27,8 @@ from protocol.messages import StreamEvent
 from protocol.signals import DRIVE_CHANNELS, Flag, RawType, Signal, Unit
 from protocol.streams import StreamConfig
 
+CAPTURE = "capture"
+"""In what a run says of itself: that it came out of the drive's memory, and which trigger froze it."""
 HOST_SUFFIX = "_host"  # of channels that the host has estimated itself
 UNITS = {signal.name: signal.unit for signal in DRIVE_CHANNELS}
 """Units of the vocabulary's channels: under the same name, a channel in another unit is something else."""
@@ -50,6 +52,8 @@ class Mark:
     """None of one that somebody has set by hand."""
     asked: str | None = None
     """The number under which another terminal has asked for it."""
+    routine: bool = False
+    """Whether it comes again and again, as steps of a profile do: a ring keeps nothing for it."""
 
     def __post_init__(self) -> None:
         if self.last_tick < self.first_tick:
@@ -96,6 +100,13 @@ class RunInfo:
         """Largest current reference in A, if the drive says one above 0."""
         i_max = self.parameters.get("i_max", math.nan)
         return i_max if 0 < i_max < math.inf else None
+
+    @property
+    def trigger_tick(self) -> int | None:
+        """Of a capture out of the drive's memory the device tick of its trigger; None of any other run."""
+        told = self.identity.get(CAPTURE)
+        tick = told.get("trigger_tick") if isinstance(told, Mapping) else None
+        return tick if isinstance(tick, int) else None
 
     @property
     def hall(self) -> bool:

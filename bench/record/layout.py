@@ -79,6 +79,11 @@ def part_name(path: Path, number: int) -> Path:
     return path.with_name(f"{path.stem}-{number:03d}{path.suffix}")
 
 
+def fault_run(path: Path) -> Path:
+    """The folder of what a drive held at a fault of the run that is recorded to `path`."""
+    return path.with_name(f"{path.stem}-fault{path.suffix}")
+
+
 def parts_of(path: Path) -> list[Path]:
     """What there is of the parts of a run that is split, in no order."""
     name = re.compile(rf"{re.escape(path.stem)}-\d{{3,}}{re.escape(path.suffix)}")

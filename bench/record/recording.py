@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from bench.device.heard import ParameterSet
 from bench.errors import BenchError
+from bench.files import is_run
 from bench.record.info import RunInfo
-from bench.record.layout import EDGES, SAMPLES
+from bench.record.layout import EDGES, SAMPLES, fault_run
 from bench.record.reader import Run, capture_of, captures, require_memory
 from bench.record.times import ticks_between
 from bench.signal.capture import Capture
@@ -67,6 +68,12 @@ class Recording:
     ) -> Iterator[Capture]:
         """See `bench.pieces`."""
         return captures(self.run, *ticks_between(self.run, begin, end), channels)
+
+    @property
+    def at_fault(self) -> Recording | None:
+        """What the drive held at a fault of this run, every PWM period of it; None where nothing was kept."""
+        path = fault_run(self.run.path)
+        return Recording(path) if is_run(path) else None
 
     @cached_property
     def samples(self) -> pd.DataFrame:

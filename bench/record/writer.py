@@ -120,7 +120,8 @@ class RunWriter:
             case Note():
                 self._line({"kind": "note", **item._asdict()})
             case Mark():
-                self._moment(item.first_tick, item.last_tick)
+                if not item.routine:
+                    self._moment(item.first_tick, item.last_tick)
                 self._line(layout.mark_record(item))
             case SummaryText(markdown=text):
                 self._line({"kind": "summary", "text": text})

@@ -21,7 +21,7 @@ from bench.rig.restore import try_all
 from bench.rig.runaway import RunawayGuard
 from bench.rig.tuning import Marked, Tuning
 from bench.signal.sources import source_names, source_number
-from bench.signal.units import pole_pairs, shaft_speed
+from bench.signal.units import RPM, pole_pairs, shaft_speed
 from bench.signal.waveforms.excitation import Waveform
 from protocol.codes import Fault, TestSignal, fault_names
 from protocol.errors import HbpError
@@ -71,6 +71,8 @@ class Drive(Machine):
         """What sees that the motor runs away, once it is known what is streamed."""
         self.ran_away = False
         """Whether its motor ran away, and was switched off."""
+        self.on_course = False
+        """Whether speeds follow each other as points of one course: what was seen of the shaft still counts then."""
         self._may_trip = False
         self._expected = Fault(0)  # faults that a test was about
         self._told = Fault(0)  # faults that a DriveTripped was raised for
@@ -96,7 +98,9 @@ class Drive(Machine):
 
     @property
     def torque_constant(self) -> float:
-        """N·m per A of q current, peak-valued: 1.5 n_p psi_f, by the drive's own parameters."""
+        """N·m per A of q current, peak-valued: 1.5 n_p psi_f, by the drive's parameters. BenchError without them."""
+        if "psi_f_hat" not in self.parameters:
+            raise BenchError("the drive has no parameter psi_f_hat: its torque per ampere is unknown")
         return 1.5 * self.n_p * self.parameters["psi_f_hat"]
 
     @property
@@ -164,6 +168,11 @@ class Drive(Machine):
         with self._trips_first():
             self.node.current(i_q, i_d)
 
+    def may_turn_freely(self, rpm: float | None) -> None:
+        """Switch off a motor that turns faster than so many r/min, either way, while a current is asked for."""
+        if self.guard is not None:
+            self.guard.most_free = None if rpm is None else rpm * RPM
+
     def _start_by_itself(self) -> None:
         if self.starts_by_itself and not self.on:
             self.start()
@@ -171,6 +180,8 @@ class Drive(Machine):
     def stop(self) -> DriveState:
         """See `Machine.stop`."""
         self.ran_away |= bool(self.runs_away)
+        self.on_course = False
+        self.may_turn_freely(None)
         self._ask(None)
         try:
             return super().stop()
@@ -263,7 +274,9 @@ class Drive(Machine):
         return f"{verdict}; it was switched off" if verdict else ""
 
     def _ask(self, omega_m: float | None) -> None:
-        if self.guard is not None:
+        if self.guard is not None and self.on_course:
+            self.guard.follow(omega_m)
+        elif self.guard is not None:
             self.guard.ask(omega_m)
 
     def _stop_runaway(self) -> None:

@@ -128,10 +128,15 @@ class Outputs:
         while self.file is not None and self.file.news:
             yield self.file.news.popleft()
 
-    def mark(self, name: str, first_tick: int, last_tick: int, verdict: Verdict | None = None) -> None:
-        """Mark a stretch of the recording, if there is one: `name` was measured there, and ended so."""
+    def mark(
+        self, name: str, first_tick: int, last_tick: int, verdict: Verdict | None = None, routine: bool = False
+    ) -> None:
+        """Mark a stretch of the recording, if there is one: `name` was measured there, and ended so.
+
+        `routine`: see `Mark`.
+        """
         if self.file is not None:
-            self.file.take(Mark(name, first_tick, last_tick, verdict))
+            self.file.take(Mark(name, first_tick, last_tick, verdict, routine=routine))
 
     def summary(self, markdown: str) -> None:
         """The text that a reader of recording and view sees first."""

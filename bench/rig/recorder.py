@@ -95,7 +95,7 @@ class Recorder:
             )
         if self.newest < last:
             dropped.append((self.newest, last, f"no sample received after {self._at(self.newest)}"))
-        known = course(parameters, self._set).since(int(samples.tick[0]))
+        known = course(parameters, self._set).since(first + 1)  # with what was set at its first tick
         return Capture(samples, edges, known, tuple(dropped))
 
     def count(self) -> tuple[int, int]:

@@ -8,21 +8,28 @@ waits without polling: what turns is watched, and its watchdog fed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
+from bench.capture.memory import CaptureMemory
+from bench.capture.trigger import Trigger
+from bench.capture.wanted import Wanted
 from bench.device.client import LISTEN, POLL, Client
 from bench.device.heard import Changes, Sink
 from bench.device.node import ClockFit, Node
 from bench.device.safety import is_off, says
 from bench.errors import BenchError, DriveFailed, OutputsMayBeOn, SeveralDevices
+from bench.motion.profile import Profile
+from bench.motion.read import read_profile
+from bench.record.info import RunInfo
 from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
-from bench.rig.drive import Drive, DriveTripped
+from bench.rig.drive import OBSERVER, Drive, DriveTripped
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import FirstSignal, undisturbed
 from bench.rig.loads import Load, NodeLoad, NoLoad, OwnLoads, PersonLoad
@@ -31,12 +38,16 @@ from bench.rig.metadata import changed_keys, run_info
 from bench.rig.needs import NEEDS, require
 from bench.rig.outputs import Outputs, Recording
 from bench.rig.person import Ask
+from bench.rig.play import Player
+from bench.rig.played import Played, Span
+from bench.rig.profile import check_profile, start_for
 from bench.rig.quality import ParameterValue, Quality
 from bench.rig.recorder import Recorder
 from bench.rig.rest import require_rest
 from bench.rig.restore import failures_of
 from bench.rig.runaway import RunawayGuard
 from bench.rig.settings import Settings
+from bench.rig.shots import SHARE, FullRate, Held, Shot
 from bench.rig.streams import configure, edge_rate
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle, speed_channel
@@ -47,11 +58,12 @@ from protocol.errors import HbpError
 from protocol.links import Link
 from protocol.messages import Role
 from protocol.signals import Flag, Signal, Unit
-from protocol.streams import StreamConfig
+from protocol.streams import MAX_DECIMATION, StreamConfig
 
 SILENCE = 2.0  # s without samples after which waiting for more is given up
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 LATE = 1.0  # s that samples of a stretch may come after its end
+FEW = 4  # samples that are waited for, however short a stretch is
 CORE = ("hall", "status", "i_a", "i_d", "i_q")
 """What is streamed, beside reference and estimates, where a link cannot carry everything."""
 
@@ -99,6 +111,9 @@ class Rig:
         """What is done when the drive has been stopped."""
         self.samples: StreamConfig | None = None
         """The stream of samples, once it is configured."""
+        self.full_rate: FullRate | None = None
+        """What holds in the drive what the link is too slow for; None where it carries all."""
+        self._edges = False  # whether Hall edges are streamed
         self.load: Load = NoLoad()
         self.before: tuple[ParameterValue, ...] = ()
         """The drive's parameters before the run."""
@@ -112,7 +127,7 @@ class Rig:
         self.signal = FirstSignal()
         """That came to a run that goes on, or to the end of any."""
         self.clock: ClockFit | None = None
-        """Of this boot of the drive, in a run that goes on."""
+        """Of this boot of the drive, in a run that goes on, and while a profile is played."""
         self._next_clock = 0.0
         self._rebooted: set[int] = set()
         self._prepared = False
@@ -150,17 +165,25 @@ class Rig:
         channels: Sequence[tuple[Channel, ...]] | None = None,
         recording: Recording | None = None,
         needed: frozenset[str] = frozenset(),
+        held: bool = False,
+        full: bool = False,
     ) -> Self:
         """Find the load, stream `channels` (see `configure`; None: what a drive has, with those `needed`) and record.
 
-        The drive must be at rest, but in a passive rig. Closed where that fails. Raises BenchError and HbpError.
+        `held`: where the link carries less than the PWM rate, what is measured comes out of the drive's memory, if it
+        has one; with `full` always at the PWM rate. The drive must be at rest, but in a passive rig. Closed where that
+        fails. Raises BenchError and HbpError.
         """
         try:
             self.take()
             self.learn()
             if not self.plan.passive:
                 self.load = self._find_load()
-            self.recorder.expect(self.configure(channels or self._most_channels(needed), slower=True))
+            choices = channels or self._most_channels(needed)
+            edges = self.configure(choices, slower=True)
+            if held and self.rate < self.drive.node.identity.pwm_hz and self.drive.node.offers_capture:
+                edges = self._hold(choices[-1], full)
+            self.recorder.expect(edges)
             self.record_to(recording or Recording(), [self.recorder])
             self.drive.node.start_streams()
             self.wait(2 * POLL)
@@ -211,15 +234,33 @@ class Rig:
             raise BenchError(f"{target} {other}: watching it would take these streams away")
 
     def configure(
-        self, choices: Sequence[tuple[Channel, ...]], decimation: int = 1, slower: bool = False
+        self, choices: Sequence[tuple[Channel, ...]], decimation: int = 1, slower: bool = False, edges: bool = True
     ) -> StreamConfig:
-        """Configure edges, and samples as `bench.rig.streams.configure` does; returns the stream of edges."""
+        """Configure edges, if they are wanted, and samples as `bench.rig.streams.configure` does.
+
+        Returns the stream of edges.
+        """
         node, identity = self.drive.node, self.drive.node.identity
-        edges = (
-            node.set_edges() if node.offers_edges else no_edge_stream(node.number, identity.tick_hz, identity.pwm_hz)
-        )
-        edges_per_s = edge_rate(node, self.drive.envelope) if slower else 0.0
+        self._edges = edges and node.offers_edges
+        none = no_edge_stream(node.number, identity.tick_hz, identity.pwm_hz)
+        stream = node.set_edges() if self._edges else none
+        edges_per_s = edge_rate(node, self.drive.envelope) if slower and self._edges else 0.0
         self.samples = configure(node, choices, decimation, slower, edges_per_s)
+        return stream
+
+    def _hold(self, channels: tuple[Channel, ...], full: bool) -> StreamConfig:
+        """Have the drive hold what is measured, and the link carry the less: what is read goes beside its streams.
+
+        Hall edges are held, too; at high speeds they would take all of a slow link.
+        """
+        node = self.drive.node
+        self.full_rate = FullRate(self.drive, self.until, self.plan.target, channels, full)
+        self.at_end.append(self.full_rate.close)
+        node.stop_streams()
+        edges = self.configure([channels], slower=True, edges=False)
+        assert self.samples is not None
+        if node.load > SHARE and (slower := math.ceil(self.samples.decimation * node.load / SHARE)) <= MAX_DECIMATION:
+            self.samples = node.set_samples(channels, slower)
         return edges
 
     def load_machine(self) -> NodeLoad | None:
@@ -267,9 +308,9 @@ class Rig:
 
         `more`: channels that the host adds to those that are streamed. Raises RecordingError or ViewerError.
         """
-        plan, channels = self.plan, (*self.channels, *more)
-        info = run_info(self.drive.node, plan.target, channels, self.drive.parameters, plan.settings, **recording.about)
-        outputs = self.outputs = Outputs(info, recording, plan.virtual)
+        plan, streamed = self.plan, () if self.samples is None else self.samples.channels
+        channels = (*streamed, *more)
+        outputs = self.outputs = Outputs(self._info(channels, **recording.about), recording, plan.virtual)
         self._stack.callback(outputs.close)
         self.drive.marked = lambda name, tick: outputs.mark(name, tick, tick, None)
         if outputs.file is not None and not plan.goes_on:
@@ -281,11 +322,16 @@ class Rig:
         self.client.tell_misdated()
         return outputs
 
+    def _info(self, channels: tuple[Channel | Signal, ...], **about: str) -> RunInfo:
+        """What a run of these channels says of itself."""
+        plan = self.plan
+        return run_info(self.drive.node, plan.target, channels, self.drive.parameters, plan.settings, **about)
+
     def guard(self) -> RunawayGuard:
         """A sink by which `drive` sees that its motor runs away; the streams are configured, the parameters known."""
         assert self.samples is not None
         forced = lambda: getattr(self.load, "forced", None)  # noqa: E731
-        self.drive.guard = RunawayGuard(self.samples, self.drive.node.offers_edges, self.drive.parameters, forced)
+        self.drive.guard = RunawayGuard(self.samples, self._edges, self.drive.parameters, forced)
         return self.drive.guard
 
     # -- the end ------------------------------------------------------------------------------------------------
@@ -404,28 +450,132 @@ class Rig:
 
     def until(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Go on until `condition()` holds; False when it does not within `timeout` s. Raises DriveTripped."""
-        return self.client.wait(condition, timeout, self._poll)
+        return self.client.wait(condition, timeout, self.turn)
+
+    def play(self, profile: Profile | Mapping[str, Any] | str | Path) -> Played:
+        """Play a motion profile: the path of its TOML, what that says as a mapping, or as `read_profile` gives it.
+
+        All of it is checked before anything turns; then the drive is started, if it is off. At the end parameters but
+        the angle source are as they were, and the drive goes on with what the last step asked for. Raises BenchError
+        for what the profile, the drive or what was announced do not allow, and DriveTripped.
+        """
+        asked = profile if isinstance(profile, Profile) else read_profile(profile)
+        for words in check_profile(asked, self.drive, self.load):
+            self.note(words, "WARN")
+        changed = {name for act in asked.acts for name in act.sets}
+        changed.discard(OBSERVER)  # a running motor keeps its angle source
+        before = {name: self.drive.parameters[name] for name in sorted(changed)}
+        start_for(asked, self.drive, self.load)
+        spans: list[Span] = []
+
+        def marked(span: Span) -> None:
+            spans.append(span)
+            self.mark_step(span)
+
+        first = self.tick()
+        Player(self, asked.max_speed, lambda act: self.note(act.title), marked).play(asked.acts)
+        for name, value in before.items():
+            self.drive.set(name, value)
+        last = max(self.tick(), *(span.last for span in spans))
+        self.until(lambda: self.recorder.newest >= last or self._silent(first), LATE)
+        return Played(self.between(first, last), tuple(spans))
 
     def record(self, seconds: float) -> Capture:
-        """The next `seconds` of device time. Raises DriveTripped, and BenchError when no samples come."""
+        """The next `seconds` of device time. Raises DriveTripped, and BenchError when no samples come.
+
+        Where the link is too slow they come out of the drive's memory, at the PWM rate: that takes longer.
+        """
+        return self.streamed(seconds) if self.full_rate is None else self.full_rate.record(seconds)
+
+    def streamed(self, seconds: float) -> Capture:
+        """The same as the link carries it, whatever its rate: to see whether something has settled.
+
+        At least some samples are waited for.
+        """
+        seconds = max(seconds, FEW / self.samples.rate if self.samples is not None else 0.0)
         first = self.tick()
         last = first + round(seconds * self.recorder.tick_hz)
         self.until(lambda: self.recorder.newest >= last or self._silent(first), seconds + LATE)
-        return self.capture(first, last)
+        return self.between(first, last)
 
     @contextmanager
-    def recording(self) -> Iterator[Stretch]:
-        """What happens inside becomes `Stretch.capture`, also when it ends in an exception."""
-        stretch = Stretch(self, self.tick())
+    def recording(self, seconds: float | None = None) -> Iterator[Stretch]:
+        """What happens inside becomes `Stretch.capture`, also when it ends in an exception.
+
+        `seconds`: how long it will last about, for a drive that has to hold it in its memory; None: 2.5 s at most.
+        """
+        held = None if self.full_rate is None else self.full_rate.begin(seconds)
+        stretch = Stretch(self, self.tick(), held=held)
         try:
             yield stretch
         finally:
             stretch.last = self.tick() if self.client.health.down_since is None else self.recorder.newest
+            if held is not None:
+                held.end(stretch.first, stretch.last, self.drive.parameters)
         if self.recorder.newest < stretch.last:
             self.until(lambda: self.recorder.newest >= stretch.last, LATE)
 
-    def capture(self, first: int, last: int) -> Capture:
-        """What came between two device ticks. BenchError if nothing did."""
+    def see_clock(self) -> None:
+        """Look at the drive's clock, unless that was done in the last moment. Raises HbpError."""
+        if self.clock is None or self.client.now() - self.clock.host > CLOCK_PERIOD:
+            self.clock = self.drive.node.clock_fit(1)
+
+    def device_tick(self, host: float) -> int | None:
+        """The device's tick at `host` s of the link's clock, by the last look at its clock; None before the first."""
+        return None if self.clock is None else self.clock.device_tick(host)
+
+    def gave_up(self, error: BenchError | HbpError) -> None:
+        """What is asked of the motor cannot be had: it is let go in a run that goes on, and `error` is raised else."""
+        if not self.plan.goes_on:
+            raise error
+        self.let_go(str(error))
+
+    def capture(
+        self,
+        trigger: str,
+        seconds: float = 0.1,
+        pre: float = 0.2,
+        *,
+        channels: Sequence[str] | None = None,
+        decimation: int = 1,
+        edges: int | None = None,
+        timeout: float = 10.0,
+    ) -> Shot:
+        """A capture in the drive's own memory, at the PWM rate whatever the link carries.
+
+        Use it as a context manager: it is armed when the block is entered, and read when it is left.
+
+        Args:
+            trigger: what freezes it: `i_q > 4`, `i_q rises 4`, `status changes`, `pulse < 5 us`, `fault`, `state`,
+                `illegal` or `now`.
+            seconds: its length, of which the share `pre` (0 to 1) lies before the trigger.
+            channels: names, as for `bench.connect`; None: all but those on request.
+            decimation: PWM periods from sample to sample.
+            edges: Hall edges for which room is kept; None: as many as the highest speed makes.
+            timeout: s that the trigger is waited for at the block's end.
+
+        Returns:
+            The shot: `.capture` after the block, `.t0` the device time of the trigger, `.save(path)` writes a run.
+
+        Raises:
+            BenchError: a drive that holds no captures, a trigger or a channel that there is not, more than fits; at the
+                block's end no trigger in time.
+        """
+        wanted = Wanted(Trigger.parse(trigger), seconds, pre, channels, decimation, edges)
+        return Shot(self.drive, self.until, wanted, timeout, self._info)
+
+    def at_fault(self) -> Capture:
+        """What the drive held at its last fault, without having been asked; it is given up then.
+
+        Raises BenchError where it holds nothing.
+        """
+        memory = CaptureMemory(self.drive.node)
+        captured = memory.read(memory.frozen())
+        memory.give_up()
+        return captured.capture(self.drive.parameters)
+
+    def between(self, first: int, last: int) -> Capture:
+        """What came by the link between two device ticks. BenchError if nothing did."""
         if self.recorder.newest < first:
             raise BenchError(f"no DATA for {SILENCE:g} s on {self.client.link.name}")
         return self.recorder.capture(first, last, {value.name: value.value for value in self.before})
@@ -448,7 +598,7 @@ class Rig:
                 if self.plan.virtual:
                     continue
                 if self._failures is None:
-                    self._poll(POLL)
+                    self.turn(POLL)
                 else:
                     self._turn(POLL)  # whatever the drive has, it is off
 
@@ -457,13 +607,14 @@ class Rig:
         fit = self.client.heartbeats.get(self.drive.node.number)
         return fit is not None and (fit.tick - newest) / self.recorder.tick_hz > SILENCE
 
-    def _turn(self, timeout: float) -> None:
-        self.client.poll(timeout)
+    def _turn(self, timeout: float, collect: bool = True) -> None:
+        self.client.poll(timeout, collect)
         for other in self.client.beside:
             other.poll(0.0)
 
-    def _poll(self, timeout: float) -> None:
-        self._turn(timeout)
+    def turn(self, timeout: float, collect: bool = True) -> None:
+        """One turn of the link, see `Client.poll`. Raises DriveTripped."""
+        self._turn(timeout, collect)
         if self.outputs is not None:
             for text, level in self.outputs.news():
                 self.client.note(text, level)
@@ -536,14 +687,19 @@ class Rig:
         return f"Rig on {self.plan.target}: {machines}, {streamed}"
 
     @property
+    def _measured(self) -> StreamConfig | None:
+        """How samples come that `record` gives."""
+        return self.samples if self.full_rate is None else self.full_rate.stream
+
+    @property
     def channels(self) -> tuple[Channel | Signal, ...]:
-        """Those that are streamed."""
-        return () if self.samples is None else self.samples.channels
+        """Those that are streamed, or held in the drive's memory."""
+        return () if self._measured is None else self._measured.channels
 
     @property
     def rate(self) -> float:
-        """Samples a second."""
-        return 0.0 if self.samples is None else self.samples.rate
+        """Samples a second that `record` gives."""
+        return 0.0 if self._measured is None else self._measured.rate
 
     @property
     def has_encoder(self) -> bool:
@@ -563,10 +719,16 @@ class Rig:
             "time": "virtual" if self.plan.virtual else "real",
             "load": f"{self.plan.settings.load}: {', '.join(sorted(load.abilities))}" if load.abilities else "none",
             "encoder": "yes" if self.has_encoder else "no",
-            "streamed": f"{len(self.channels)} channels at {self.rate:g} Hz",
+            "streamed": self._streamed(),
             "bench.toml": str(self.plan.settings.path or "none"),
             "configuration": self._configuration() if self.plan.virtual else "of the drive",
         }
+
+    def _streamed(self) -> str:
+        words = f"{len(self.channels)} channels at {self.rate:g} Hz"
+        if self.full_rate is None or self.samples is None:
+            return words
+        return f"{words} out of the drive's memory; the link carries {self.samples.rate:g} Hz"
 
     def _configuration(self) -> str:
         config = self.plan.settings.config
@@ -585,7 +747,7 @@ class Rig:
             dropped_by_device=self.recorder.device.risen["tx_dropped"],
             damaged_frames=self.client.session.counters.framing.bad,
             outages=self.client.health.outages,
-            rate=self.rate,
+            rate=0.0 if self.samples is None else self.samples.rate,
             seconds=self.recorder.seconds,
             remarks=tuple(words for _, _, words in self.recorder.dropped),
         )
@@ -597,6 +759,11 @@ class Rig:
         if self.outputs is not None:
             first, last = (round(t * self.recorder.tick_hz) for t in span)
             self.outputs.mark(name, first, last, verdict)
+
+    def mark_step(self, span: Span) -> None:
+        """Show in the recording when a step of a profile was."""
+        if self.outputs is not None:
+            self.outputs.mark(*span, routine=True)
 
     def note(self, text: str, level: str = "INFO") -> None:
         """A line in the log of recording and dashboard."""
@@ -615,8 +782,10 @@ class Stretch:
     rig: Rig
     first: int
     last: int = -1
+    held: Held | None = None
+    """What the drive's memory holds of it, where the link is too slow."""
 
     @property
     def capture(self) -> Capture:
-        """What came in it. BenchError if nothing did."""
-        return self.rig.capture(self.first, self.last)
+        """What came in it; read at the first call, where the drive holds it. BenchError if nothing did."""
+        return self.rig.between(self.first, self.last) if self.held is None else self.held.read()

@@ -111,6 +111,8 @@ class Runaway:
         """What was seen, once the motor has run away: an end of a sentence; empty before."""
         self.most: float | None = None
         """Where a motor is turned with care: mechanical rad/s that it may have, either way and at any moment."""
+        self.most_free: float | None = None
+        """The same while no speed is asked for, and a current turns the shaft as fast as its load lets it."""
         self._n_p, self._omega_m_max = n_p, omega_m_max
         self._asked: float | None = None  # electrical rad/s
         self._encoder, self._hall = _Sensor("the encoder"), _Sensor("the Hall sensors")
@@ -122,6 +124,17 @@ class Runaway:
         self._asked = None if omega_m is None or self._n_p is None else omega_m * self._n_p
         self.verdict = ""
         self._forget()
+
+    def follow(self, omega_m: float | None) -> None:
+        """What is asked for has moved on to this, mechanical rad/s; what was seen so far still counts."""
+        if (omega_m is None) != (self._asked is None):
+            self.ask(omega_m)
+        elif omega_m is not None and self._n_p is not None:
+            self._asked = omega_m * self._n_p
+
+    @property
+    def _judges(self) -> bool:
+        return self._asked is not None or self.most_free is not None
 
     def _forget(self) -> None:
         for sensor in self._there:
@@ -149,17 +162,19 @@ class Runaway:
 
     def judge(self, now: float) -> None:
         """Whether all that was taken until `now` is a runaway."""
-        if self._asked is None or self.verdict or self._n_p is None:
+        if not self._judges or self.verdict or self._n_p is None:
             return
-        with_care = math.inf if self.most is None else self.most * self._n_p
+        most = self.most_free if self._asked is None else self.most
+        with_care = math.inf if most is None else most * self._n_p
         main = self._encoder if self._encoder in self._there else self._own  # taken for the shaft's own speed
         for sensor in self._there:
             far = TOO_FAR_ALONE if sensor is self._own and len(self._there) > 1 else TOO_FAR
-            too_far = max(sensor.over, sensor.under) > far and self._believed(sensor, now)
+            too_far = max(sensor.over, sensor.under) > far and self._asked is not None and self._believed(sensor, now)
             if too_far or (sensor is main and abs(sensor.speed) > with_care):
-                asked, seen = (speed / self._n_p / RPM for speed in (self._asked, sensor.speed))
-                seen_by = f"{seen:.0f} r/min by {sensor.words} at {now:.3f} s of device time"
-                self.verdict = f"let its motor run away: {asked:g} r/min asked for, {seen_by}"
+                per_rpm = self._n_p * RPM
+                asked = f"at most {with_care / per_rpm:g}" if self._asked is None else f"{self._asked / per_rpm:g}"
+                seen_by = f"{sensor.speed / per_rpm:.0f} r/min by {sensor.words} at {now:.3f} s of device time"
+                self.verdict = f"let its motor run away: {asked} r/min asked for, {seen_by}"
                 return
 
     def _believed(self, sensor: _Sensor, now: float) -> bool:
@@ -215,7 +230,7 @@ class RunawayGuard(Runaway):
         """Follow Hall sensors, encoder and estimate."""
         if isinstance(item, EdgeChunk) and item.config.node == self._stream.node:
             self._edges_came(item)
-        elif isinstance(item, SampleChunk) and item.config.node == self._stream.node and self._asked is not None:
+        elif isinstance(item, SampleChunk) and item.config.node == self._stream.node and self._judges:
             self._samples_came(item)
 
     def _edges_came(self, chunk: EdgeChunk) -> None:

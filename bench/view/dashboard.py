@@ -67,7 +67,7 @@ def blueprint(
             key: _of_all(plot, COARSE if coarse else close, (extents or {}).get(key)) for key, plot in found.items()
         }
     trend = None if whole is None else _ticks(run, *whole)
-    states = _lanes(
+    states = lanes(
         f"Drive, last {TREND:g} s" if whole is None else "Drive", drive_entity(run),
         trend or _span(TREND), None if whole is None else _wide(run, *whole),
     )  # fmt: skip
@@ -132,7 +132,7 @@ def _samples(run: RunInfo, found: Mapping[str, Plot], coarse: bool, sector: floa
     if run.hall:
         seconds = HALL if sector is None else min(MOST_HALL, max(LEAST_HALL, SECTORS_SHOWN * sector))
         name = f"Hall sensors and sector, last {seconds:.2g} s{', where there are samples' if coarse else ''}"
-        views.append(_lanes(name, schema.HALL_LANES, _span(seconds + HALL_QUERIED), _span(seconds)))
+        views.append(lanes(name, schema.HALL_LANES, _span(seconds + HALL_QUERIED), _span(seconds)))
     return rrb.Grid(*views, grid_columns=min(3, len(views)), name="Samples") if views else None
 
 
@@ -198,10 +198,10 @@ def _of_second(view: str) -> rrb.View:
 
 def _marked(run: RunInfo, marks: Sequence[Mark]) -> rrb.StateTimelineView:
     span = _ticks(run, min(mark.first_tick for mark in marks), max(mark.last_tick for mark in marks))
-    return _lanes("Marks", schema.ACCEPTANCE, span, span)
+    return lanes("Marks", schema.ACCEPTANCE, span, span)
 
 
-def _lanes(name: str, entity: str, queried: Span, shown: Span | None) -> rrb.StateTimelineView:
+def lanes(name: str, entity: str, queried: Span, shown: Span | None) -> rrb.StateTimelineView:
     """Timelines of states over the time `shown`, or over all of what there is of `queried`."""
     return rrb.StateTimelineView(
         name=name, origin="/", contents=[f"/{entity}"],

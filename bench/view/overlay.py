@@ -8,10 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
-import numpy as np
-import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -21,6 +19,7 @@ from bench.signal.colours import RGB
 from bench.view.dashboard import absolute, time_series, without_panels
 from bench.view.log import RunLog
 from bench.view.plots import LEGEND_SHARE, Plot, plots
+from bench.view.shifted import Shifted
 from bench.view.viewing import LOT, closeups, rrd_file, show
 
 A, B = "a", "b"
@@ -39,30 +38,11 @@ def write_overlay(path: Path, a: Side, b: Side, lot: float = LOT) -> None:
         span = [float(ns_from_tick(tick - a.zero, a.run.info.tick_hz)) / 1e9 for tick in (a.first, a.last)]
         stream.send_blueprint(_blueprint(_common(*infos), *span))
         for entity, laid, info in ((A, a, infos[0]), (B, b, infos[1])):
-            shifted = _Shifted(stream, entity, int(ns_from_tick(laid.zero, info.tick_hz)))
+            shifted = Shifted(stream, entity, int(ns_from_tick(laid.zero, info.tick_hz)))
             log = RunLog(cast(rr.RecordingStream, shifted), info, lot)
             log.start()
             show(laid.run, log, laid.first, laid.last, closeups(laid.run, laid.first, laid.last))
             log.finish()
-
-
-class _Shifted:
-    """Stands for a stream: what is logged goes below an entity, `shift` ns earlier."""
-
-    def __init__(self, stream: rr.RecordingStream, below: str, shift: int) -> None:
-        self._stream, self._below, self._shift = stream, below, np.timedelta64(shift, "ns")
-
-    def log(self, entity: str, *parts: Any, static: bool = False) -> None:
-        self._stream.log(f"{self._below}/{entity}", *parts, static=static)
-
-    def set_time(self, timeline: str, duration: np.timedelta64) -> None:
-        self._stream.set_time(timeline, duration=duration - self._shift)
-
-    def send_record_batch(self, batch: pa.RecordBatch, index: str, entity_path: str) -> None:
-        at = batch.schema.get_field_index(index)
-        shifted = pa.array(batch.column(at).to_numpy() - self._shift)
-        batch = batch.set_column(at, batch.schema.field(at), shifted)
-        self._stream.send_record_batch(batch, index=index, entity_path=f"{self._below}/{entity_path}")
 
 
 def _alike(a: RunInfo, b: RunInfo) -> tuple[RunInfo, RunInfo]:

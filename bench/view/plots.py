@@ -105,6 +105,13 @@ def plots(run: RunInfo) -> dict[str, Plot]:
     return {key: replace(plot, guide=f"guide:{key}") for key, plot in found.items()}
 
 
+def waves_by_unit(run: RunInfo) -> list[Plot]:
+    """All channels that are numbers, sample by sample, a plot for each unit."""
+    numbers = [channel for channel in run.channels if channel.name not in run.words]
+    found = [plot for plot in _by_unit(run, numbers).values() if plot.entity == schema.FAST]
+    return [replace(plot, name=plot.name.rpartition(", last")[0]) for plot in found]
+
+
 def trend_lines(run: RunInfo) -> tuple[list[Line], list[Line]]:
     """The lines over the long run, each once: those shown as bands, and those shown as means."""
     lines = {line.component: line for plot in plots(run).values() if plot.entity == schema.TREND for line in plot.lines}

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pyarrow as pa
@@ -19,15 +20,16 @@ from bench.device.heard import Chunk, Heard, Note
 from bench.device.losses import Continuity, LossAccount
 from bench.errors import RecordingError
 from bench.files import part_of
-from bench.record.info import RunInfo
+from bench.record.info import RunInfo, ns_from_tick
 from bench.record.layout import EDGES, SAMPLES, numbers
 from bench.record.overview import BIN, coarser
 from bench.record.reader import Run, Segment, overviews
 from bench.signal.chunks import BEGIN, END, between
-from bench.view import dashboard, schema
+from bench.view import dashboard, schema, shot
 from bench.view.blocks import Block, lost_components
 from bench.view.log import RunLog
 from bench.view.plots import POINTS, WAVE, plots
+from bench.view.shifted import Shifted
 from bench.view.sinks import abandon, new_stream
 from protocol.host import DeviceEventReceived
 from protocol.messages import EventCode
@@ -59,6 +61,9 @@ def write_rrd(run: Run, path: Path, first: int = BEGIN, last: int = END, page: i
     The file appears, or replaces an earlier one, when it is whole.
     """
     near = closeups(run, first, last, and_end=True)
+    if run.info.trigger_tick is not None and run.segments:
+        _write_shot(run, path, max(first, run.span[0]), min(last, run.span[1]), near, lot)
+        return
     with rrd_file(path, run.info) as stream:
         whole = (max(first, run.span[0]), min(last, run.span[1])) if run.segments else None
         sector = None if whole is None else sector_time(run, *whole)
@@ -73,6 +78,18 @@ def write_rrd(run: Run, path: Path, first: int = BEGIN, last: int = END, page: i
         found = {key: log.extents.of(plot) for key, plot in plots(run.info).items() if plot.entity == schema.TREND}
         extents = {key: extent for key, extent in found.items() if extent is not None}
         stream.send_blueprint(dashboard.blueprint(*shown, extents, page))
+
+
+def _write_shot(run: Run, path: Path, first: int, last: int, near: list[Span] | None, lot: float) -> None:
+    """A capture, at whose trigger time is 0."""
+    assert run.info.trigger_tick is not None
+    zero, *ends = (int(ns_from_tick(tick, run.info.tick_hz)) for tick in (run.info.trigger_tick, first, last))
+    with rrd_file(path, run.info) as stream:
+        stream.send_blueprint(shot.blueprint(run.info, *((end - zero) / 1e9 for end in ends)))
+        log = RunLog(cast(rr.RecordingStream, Shifted(stream, "", zero)), run.info, lot)
+        log.start()
+        show(run, log, first, last, near)
+        log.finish()
 
 
 @contextmanager

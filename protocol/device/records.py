@@ -67,7 +67,7 @@ def rows_of(raw: NDArray[np.void], dtype: np.dtype[np.void]) -> Rows:
     """Return samples of all channels as rows; TypeError if they are not of the channels' `dtype`."""
     if raw.dtype is not dtype and raw.dtype != dtype:
         raise TypeError(f"samples of {raw.dtype}, the channels make {dtype}")
-    return np.ascontiguousarray(raw).view(np.uint8).reshape(len(raw), -1)
+    return np.ascontiguousarray(raw).view(np.uint8).reshape(len(raw), dtype.itemsize)
 
 
 def runs_of(dtype: np.dtype[np.void], names: Iterable[str]) -> list[Run]:
@@ -136,14 +136,16 @@ class Means:
         self._decimation = decimation
         self._sums = [_Sum(channel, *_turn(channel)) for channel in channels]
         self._open = 0  # periods of the record that is not complete yet
+        self._skip = 0  # periods until the first whole record begins
         self._next: int | None = None
 
     def take(self, index0: int, rows: Rows) -> tuple[int, Rows]:
         """See `Records`. A record of which periods are missing is left out."""
         n, decimation = len(rows), self._decimation
-        skipped = 0
         if index0 != self._next:
-            self._open, skipped = 0, min(n, (1 - index0) % decimation)
+            self._open, self._skip = 0, (1 - index0) % decimation
+        skipped = min(n, self._skip)
+        self._skip -= skipped
         self._next = index0 + n
         first = index0 + skipped - self._open + decimation - 1  # index of the first record that can be complete
         begins = np.arange(-self._open, n - skipped, decimation)

@@ -65,7 +65,7 @@ class DriveApp:
         """See `DeviceApp`."""
         sources = float(AngleSource.ENCODER if encoder else AngleSource.AVERAGE_SPEED), float(max(SOURCES))
         self.waveform = bench.waveform
-        """See `DeviceApp`."""
+        """See `protocol.device.app.Extras`."""
         ranges = {"observer": sources, "test_length": (0.0, float(len(self.waveform)))}
         self.parameters = tuple(
             replace(p, lo=ranges[p.name][0], hi=ranges[p.name][1]) if p.name in ranges else p

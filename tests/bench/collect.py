@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.device.client import Client
-from bench.device.heard import ClockRestarted, Heard, Misdated, Missing, Note
+from bench.device.heard import ClockRestarted, Heard, Misdated, Missing, Note, ParameterSet
 from bench.device.node import DRIVE, LOAD, Node
 from bench.record.info import RunInfo
 from bench.rig.streams import configure
@@ -28,6 +28,7 @@ class Collector:
         self.heartbeats: list[HeartbeatReceived] = []
         self.restarts: list[ClockRestarted] = []
         self.misdated: list[Misdated] = []
+        self.parameters: list[ParameterSet] = []
         self.notes: list[str] = []
         self.lost = (0, 0)  # samples and edges, at the end of the streams
 
@@ -41,6 +42,8 @@ class Collector:
                 self.heartbeats.append(item)
             case Missing():
                 self.lost = (self.lost[0] + item.samples, self.lost[1] + item.edges)
+            case ParameterSet():
+                self.parameters.append(item)
             case ClockRestarted():
                 self.restarts.append(item)
             case Misdated():

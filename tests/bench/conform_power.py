@@ -2,9 +2,10 @@
 
 Each violation runs in a process of its own, in virtual time, on each of its links, at the level that has its checks,
 and at the highest where none of them fails: the device side in C with a change (tables/conform_mutants.toml) behind the
-simulated drive, and the device of tests/devices with one fault (tables/conform_faults.toml). The figures go to
-docs/conform/found.json, of which docs/make_conform.py makes the page; results are kept below .violations, so that a run
-that was interrupted goes on where it was.
+simulated drive, the device side in Python and that drive with one (tables/conform_python_mutants.toml), and the device
+of tests/devices with one fault (tables/conform_faults.toml). The figures go to docs/conform/found.json, of which
+docs/make_conform.py makes the page; results are kept below .violations, so that a run that was interrupted goes on
+where it was.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import ctypes
 import hashlib
+import importlib
 import json
 import multiprocessing
 import re
@@ -20,9 +22,11 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any
 from unittest.mock import patch
 
@@ -43,12 +47,19 @@ TABLES = HERE / "tables"
 KEPT = ROOT / ".violations"
 FOUND = ROOT / "docs" / "conform" / "found.json"
 SECONDS = 120.0  # that a violation may take
-SOURCES = ("bench/conform/*.py", "protocol/c/*.[ch]", "tests/devices/*.py", "tests/bench/conforming.py")
+SOURCES = (
+    "bench/conform/*.py",
+    "protocol/c/*.[ch]",
+    "protocol/device/*.py",
+    "sim/drive/*.py",
+    "tests/devices/*.py",
+    "tests/bench/conforming.py",
+)
 
 
 @dataclass(frozen=True)
 class Violation:
-    """A device that breaks a sentence of a chapter: the C device with texts replaced in `file`, or a fault by name."""
+    """A device that breaks a sentence of a chapter: texts replaced in `file`, in C or Python, or a fault by name."""
 
     name: str
     chapter: int
@@ -64,6 +75,16 @@ class Violation:
         return max(TABLE[check].needs for check in self.checks)
 
     @property
+    def in_python(self) -> bool:
+        """Whether it is a change of a module."""
+        return self.file.endswith(".py")
+
+    @property
+    def source(self) -> Path:
+        """What is changed."""
+        return ROOT / self.file if self.in_python else compiled.SOURCE / self.file
+
+    @property
     def number(self) -> str:
         """For a file."""
         made = hashlib.sha256(repr(self).encode()).hexdigest()[:8]
@@ -72,13 +93,22 @@ class Violation:
 
 def violations(both: bool = False) -> list[Violation]:
     """All of them, those in C first; see `in_c`."""
-    return [*in_c(both), *_by_faults()]
+    return [*in_c(both), *in_python(both), *_by_faults()]
 
 
 def in_c(both: bool = False) -> Iterator[Violation]:
     """Those of the device side in C; what is the same on all links is tried on bytes and CAN by turns, or on `both`."""
+    yield from _changes("conform_mutants.toml", both)
+
+
+def in_python(both: bool = False) -> Iterator[Violation]:
+    """Those of the device side in Python and of the simulated drive behind it; as `in_c`."""
+    yield from _changes("conform_python_mutants.toml", both)
+
+
+def _changes(table: str, both: bool) -> Iterator[Violation]:
     links, turns = ("bytes", "CAN"), 0
-    for chapter, rows in tomllib.loads((TABLES / "conform_mutants.toml").read_text()).items():
+    for chapter, rows in tomllib.loads((TABLES / table).read_text()).items():
         for row in rows:
             checks = (row["check"],) if isinstance(row["check"], str) else tuple(row["check"])
             for each in row.get("each", ("",)):
@@ -108,7 +138,7 @@ def stamp() -> str:
 
 def changed(violation: Violation) -> str:
     """The text of its file with the changes. ValueError where what is changed does not stand there once."""
-    text = (compiled.SOURCE / violation.file).read_text()
+    text = violation.source.read_text()
     for old, new in violation.changes:
         if text.count(old) != 1:
             raise ValueError(f"{violation.name}: stands {text.count(old)} times in {violation.file}: {old}")
@@ -120,6 +150,9 @@ def run_on(violation: Violation, level: int) -> Run:
     """The run of a level's checks on the device that breaks this. NoCompiler where it cannot be compiled."""
     if not violation.changes:
         return on_device(level, [violation.name], carrier=violation.link)[0]
+    if violation.in_python:
+        with changed_functions(violation):
+            return on_simulated(level, simulated(network=violation.link))
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder, "c")
         shutil.copytree(compiled.SOURCE, source)
@@ -132,6 +165,34 @@ def run_on(violation: Violation, level: int) -> Run:
             patch("protocol.canmap.compiled.library", cache(compiled.library.__wrapped__)),
         ):
             return on_simulated(level, simulated(network=violation.link, compiled=True))
+
+
+@contextmanager
+def changed_functions(violation: Violation) -> Iterator[None]:
+    """Inside, functions and methods of a module are as its changed text has them, whoever has imported them."""
+    module = importlib.import_module(violation.file.removesuffix(".py").replace("/", "."))
+    before = {}
+    try:
+        for name, code in _codes(compile(changed(violation), str(violation.source), "exec")):
+            live: Any = module
+            for part in name.split("."):
+                live = getattr(live, part, None)
+            live = live.fget if isinstance(live, property) else getattr(live, "__func__", live)
+            if isinstance(live, FunctionType) and live.__code__.co_freevars == code.co_freevars:
+                before[live] = live.__code__
+                live.__code__ = code
+        yield
+    finally:
+        for function, code in before.items():
+            function.__code__ = code
+
+
+def _codes(code: CodeType) -> Iterator[tuple[str, CodeType]]:
+    """What is defined in a module and in its classes, with its name there."""
+    for each in code.co_consts:
+        if isinstance(each, CodeType) and "<" not in each.co_qualname:
+            yield each.co_qualname, each
+            yield from _codes(each)
 
 
 def result_of(violation: Violation) -> dict[str, Any]:
@@ -184,7 +245,8 @@ def main() -> int:
     for k, each in enumerate(chosen, 1):
         result = result_of(each)
         how = word(each, result)
-        rows.append({"name": each.name, "chapter": each.chapter, "link": each.link, "in_c": bool(each.changes),
+        rows.append({"name": each.name, "chapter": each.chapter, "link": each.link,
+                     "in_c": bool(each.changes) and not each.in_python, "in_python": each.in_python,
                      "checks": each.checks, "how": how, "by": list(result["failed"])[:3]})  # fmt: skip
         if how != "found":
             others = "; ".join(f"{check}: {words[:150]}" for check, words in list(result["failed"].items())[:3])

@@ -7,6 +7,7 @@ of the same drive, with the same seed, over a byte link that loses nothing.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -16,6 +17,7 @@ from collect import Bench
 from virtual_run import WatchedLink
 
 from protocol.canmap.frame import EXTENDED, REMOTE, BusRates
+from protocol.device.records import made
 from protocol.messages import DriveState, Fault
 from protocol.streams import EdgeChunk, SampleChunk
 from sim.config.params import load_params
@@ -43,7 +45,9 @@ class Rig:
         self.edges: list[np.ndarray] = []
         drive = self.device.drive
         self.first: list[int] = []  # index of the first of them
-        drive.push_samples = kept_of(drive.push_samples, self.samples, self.first)  # type: ignore[method-assign]
+        all_of_them = frozenset(channel.name for channel in drive.app.channels)
+        keep = partial(made, names=all_of_them)
+        drive.push_samples = kept_of(drive.push_samples, self.samples, self.first, keep)  # type: ignore[method-assign]
         drive.push_edges = kept_of(drive.push_edges, self.edges)  # type: ignore[method-assign]
         self.link = WatchedLink(self.device)
         self.link._step = max(1, round(step * self.device.pwm_hz))  # small, so that bus and drive keep together
@@ -86,13 +90,18 @@ class Rig:
         assert losses.edges.samples + losses.edges.lost_by_index == numbers[-1] + 1
 
 
-def kept_of(push: Callable[..., None], kept: list[np.ndarray], begun: list[int] | None = None) -> Callable[..., None]:
+def kept_of(
+    push: Callable[..., None],
+    kept: list[np.ndarray],
+    begun: list[int] | None = None,
+    made_of: Callable[[Any], np.ndarray] = np.asarray,
+) -> Callable[..., None]:
     """`push`, whose last argument is kept too; `begun` gets its first one, once."""
 
     def pushed(*arguments: Any) -> None:
         if begun == []:
             begun.append(arguments[0])
-        kept.append(arguments[-1].copy())
+        kept.append(made_of(arguments[-1]).copy())
         push(*arguments)
 
     return pushed

@@ -21,9 +21,9 @@ from bench.record.reader import Run
 from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
-COMMANDS = ["live", "view", "mark", "plot", "measure", "compare", "import", "export", "accept", "conform", "response"]
-COMMANDS += ["hall", "replay", "study", "tune", "score", "motor", "sim", "init", "devices", "info", "param", "protocol"]
-COMMANDS += ["completion"]
+COMMANDS = ["live", "capture", "view", "mark", "plot", "measure", "compare", "import", "export", "accept", "conform"]
+COMMANDS += ["response", "hall", "replay", "study", "tune", "score", "motor", "sim", "init", "devices", "info", "param"]
+COMMANDS += ["protocol", "completion"]
 
 
 def test_the_commands_are_these() -> None:

@@ -269,7 +269,7 @@ def test_a_level_whose_start_was_refused_is_not_claimed(monkeypatch: pytest.Monk
     assert {"state.stop-obeyed", "watchdog.trips"} <= set(ended(run, Verdict.INVALID))
     found = claim(run)
     assert (found.level, found.conforms, outcome(run).exit_code) == (STREAMS, True, 6)
-    assert found.words.startswith("conforms to HBP 1.0 at level 2: ")
+    assert found.words.startswith("conforms to HBP 1.1 at level 2: ")
     assert found.words.endswith(
         "; not shown: level 3 (states and setpoints), which needs state.stop-obeyed, watchdog.trips; "
         "not tested: level 4 (motion)"

@@ -1,5 +1,5 @@
-"""A device that breaks a requirement of SPEC fails the check that is meant for it: tables/conform_faults.toml and
-conform_mutants.toml.
+"""A device that breaks a requirement of SPEC fails the check that is meant for it: tables/conform_faults.toml,
+conform_mutants.toml and conform_python_mutants.toml.
 
 What costs most is left out where the fault is of another kind: a link that is not read, where it is none of losses, and
 streams and the 5 s of ARMED, where it is one of states.
@@ -8,7 +8,7 @@ streams and the 5 s of ARMED, where it is one of states.
 from __future__ import annotations
 
 import pytest
-from conform_power import Violation, changed, in_c, run_on
+from conform_power import Violation, changed, in_c, in_python, run_on
 from conforming import ON_CAN, OVERLOADED, TO_MOTION, TO_STATES, TO_STREAMS, ended, on_device
 
 from bench.conform.catalogue import checks
@@ -55,13 +55,24 @@ def test_a_change_of_the_device_in_c_fails_a_check_that_is_meant_for_it(violatio
     assert set(violation.checks) & set(ended(run, Verdict.FAIL)), ended(run, Verdict.FAIL)
 
 
+IN_PYTHON = {f"{v.chapter}: {v.name}, {v.link}": v for v in in_python(both=True)}
+
+
+@pytest.mark.parametrize("violation", sampled("violations in Python", IN_PYTHON, 3, campaign="violations"))
+def test_a_change_of_the_device_in_python_fails_a_check_that_is_meant_for_it(violation: Violation) -> None:
+    run = run_on(violation, violation.level)
+    assert set(violation.checks) & set(ended(run, Verdict.FAIL)), ended(run, Verdict.FAIL)
+
+
 def test_each_change_stands_in_the_source_and_breaks_a_requirement() -> None:
-    for violation in IN_C.values():
+    for violation in (*IN_C.values(), *IN_PYTHON.values()):
         assert changed(violation)
         for check in violation.checks:
             assert all(requirements()[number].device for number in TABLE[check].cites)
 
 
 def test_the_checks_of_the_tables_are_there() -> None:
-    named = {check for _, check, _, _ in CASES} | {check for v in IN_C.values() for check in v.checks}
+    named = {check for _, check, _, _ in CASES} | {
+        check for v in (*IN_C.values(), *IN_PYTHON.values()) for check in v.checks
+    }
     assert named <= {check.id for check in checks()}

@@ -131,7 +131,7 @@ def test_the_web_viewers_port_in_use(fail: Fail) -> None:
 
 
 def test_an_observer_for_a_drive_that_is_only_watched(fail: Fail) -> None:
-    assert "--observer needs --speed or --load" in fail("live", "serial:x", "--observer", "encoder")
+    assert "--observer needs --speed, --load or --profile" in fail("live", "serial:x", "--observer", "encoder")
 
 
 # -- the simulated drive's configuration ------------------------------------------------------------------------

@@ -94,7 +94,7 @@ def test_a_whole_session_over_each_link(bench: Bench) -> None:
     bench.turn(50.0)
     assert drive.state == DriveState.RUNNING
     bench.client.run_for(0.3)
-    with pytest.raises(NodeError, match="i_max = 5 was refused"):
+    with pytest.raises(NodeError, match="i_max was not set to 5: node 1 takes it only with its outputs off"):
         drive.set("i_max", 5)  # only while the outputs are off
     assert drive.stop() == DriveState.IDLE
     drive.stop_streams()

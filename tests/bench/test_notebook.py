@@ -164,7 +164,7 @@ def test_whoever_takes_time_to_answer_loses_nothing(monkeypatch: pytest.MonkeyPa
         before = rig.tick()
         rig.drive.speed(rpm=300)
         run = rig.record(0.2)
-        asked = rig.capture(before, int(run.samples.tick[-1]))
+        asked = rig.between(before, int(run.samples.tick[-1]))
     assert run.dropped == asked.dropped == ()
     assert len(asked) > 3.2 * 16000
     assert run["omega_enc"][-1] > 50

@@ -28,6 +28,7 @@ from bench.plot.plot import Plot
 from bench.rig.drive import Drive
 from bench.rig.loads import Load
 from bench.rig.notebook import Simulated
+from bench.rig.played import Played
 from bench.score.board import Scoreboard
 from bench.signal import waveforms
 from bench.signal.verdict import Verdict
@@ -88,7 +89,7 @@ def test_the_page_as_it_is_printed(tmp_path, monkeypatch, capsys) -> None:
 
 
 SIGNATURES = [node for block in re.findall(r"```pyi\n(.*?)```", PAGE, re.DOTALL) for node in ast.parse(block).body]
-CLASSES = (Comparison, Drive, Exported, Health, Load, Parameters, Plot, Scoreboard, Simulated, Statistics)
+CLASSES = (Comparison, Drive, Exported, Health, Load, Parameters, Played, Plot, Scoreboard, Simulated, Statistics)
 HOMES = {cls.__name__: cls for cls in CLASSES}
 
 

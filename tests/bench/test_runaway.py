@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
@@ -24,8 +25,9 @@ from bench.conform import run as conforming
 from bench.conform.catalogue import checks
 from bench.conform.claim import outcome
 from bench.conform.levels import MOTION
+from bench.motion.read import read_profile
 from bench.rig.drive import RanAway
-from bench.rig.runaway import RunawayGuard
+from bench.rig.runaway import Runaway, RunawayGuard
 from bench.signal.chunks import narrowed, of_channels, part
 from protocol.messages import DriveState
 from sim.ports.device import SimulatedDevice
@@ -78,6 +80,25 @@ def test_a_motor_that_runs_away_is_stopped_at_once(config: dict[str, float], ask
     assert ended.exit_code == 1
     assert at_rest(link.device)
     assert 0.0 < link.too_far_for(asked) < SOON
+    assert link.ran[-1][0] - link.ran[0][0] < 3.0
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+@pytest.mark.parametrize(
+    "course",
+    [
+        {"speed_rpm": {"amplitude": 60.0, "frequency_Hz": 2.0, "offset": 300.0}, "for_s": 4.0},
+        {"speed_rpm": 400.0, "ramp_s": 4.0},
+    ],
+    ids=["sine", "ramp"],
+)
+def test_a_motor_that_runs_away_from_a_profile_is_stopped_too(course: dict[str, Any], network: str) -> None:
+    link = Plant(simulated(network=network, **INVERTED))
+    slow = {} if network == "bytes" else {"channels": ("status", "i_q"), "rate_hz": 1000.0}
+    ended = run(link, profile=read_profile({"steps": [course]}), speed_rpm=None, duration=None, **slow)
+    assert re.match(r"the drive let its motor run away: \d+(\.\d+)? r/min asked for, ", ended.summary.result)
+    assert (ended.exit_code, at_rest(link.device)) == (1, True)
+    assert link.too_far_for(400.0) < SOON
     assert link.ran[-1][0] - link.ran[0][0] < 3.0
 
 
@@ -262,3 +283,63 @@ def test_a_runaway_is_seen_by_whatever_is_left_to_see_it(
     words, when = looked_at(turns, **given)
     assert words.startswith("let its motor run away: 300 r/min asked for, ")
     assert wrong < when < wrong + SOON
+
+
+# -- a speed that moves on, as in a motion profile --------------------------------------------------------------------
+
+
+def followed(shaft: Callable[[float], float], asked: Callable[[float], float], seconds: float) -> float:
+    """When a guard that is told every 20 ms what is asked for saw a runaway, s; inf: never. Speeds in r/min."""
+    guard, rpm = Runaway(6, lambda: 330.0), math.tau / 60.0
+    guard.ask(asked(0.0) * rpm)
+    for k in range(1, round(seconds / 0.01)):
+        t = k * 0.01
+        if k % 2 == 0:
+            guard.follow(asked(t) * rpm)
+        gone = 6.0 * rpm * shaft(t) * 0.01
+        guard.by_encoder(t, 0.01, gone)
+        guard.by_edges(t, 0.01, np.full(round(abs(gone) / (math.pi / 3.0)), np.sign(gone)))
+        guard.judge(t)
+        if guard.verdict:
+            return t
+    return math.inf
+
+
+COURSES: dict[str, Callable[[float], float]] = {
+    "a ramp": lambda t: 400.0 * t,
+    "a ramp through zero": lambda t: 1000.0 - 500.0 * t,
+    "a sine": lambda t: 500.0 + 400.0 * math.sin(6.0 * t),
+    "a sine about zero": lambda t: 600.0 * math.sin(3.0 * t),
+    "steps": lambda t: 800.0 if int(2.0 * t) % 2 else -800.0,
+}
+
+
+@pytest.mark.parametrize("asked", COURSES.values(), ids=COURSES)
+@pytest.mark.parametrize("late", [0.0, 0.05, 0.2])
+def test_a_shaft_that_follows_a_course_late_is_not_accused(asked: Callable[[float], float], late: float) -> None:
+    assert followed(lambda t: asked(max(0.0, t - late)), asked, 4.0) == math.inf
+
+
+@pytest.mark.parametrize("asked", COURSES.values(), ids=COURSES)
+def test_a_shaft_that_takes_off_while_its_speed_moves_on_is_seen(asked: Callable[[float], float]) -> None:
+    """From 1.5 s on it is faster and faster; a guard that began anew with each point would sum up nothing."""
+
+    def shaft(t: float) -> float:
+        return asked(t) if t < 1.5 else asked(1.5) + math.copysign(6000.0, asked(1.5)) * (t - 1.5)
+
+    assert 1.5 < followed(shaft, asked, 4.0) < 2.2
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_shaft_that_a_current_turns_may_have_so_much_speed_and_no_more(way: float) -> None:
+    for most, seen in ((1000.0, False), (800.0, True)):
+        guard, rpm = Runaway(6, lambda: 330.0), way * math.tau / 60.0
+        guard.most_free = most * math.tau / 60.0
+        guard.follow(None)
+        for k in range(1, 200):
+            guard.by_encoder(0.01 * k, 0.01, 6.0 * 4.5 * k * rpm * 0.01)  # up to 895 r/min
+            guard.judge(0.01 * k)
+            if guard.verdict:
+                break
+        assert bool(guard.verdict) == seen
+        assert ("at most 800 r/min asked for" in guard.verdict) == seen

@@ -25,8 +25,8 @@ from bench.cli import main
 from bench.device.client import Client
 from bench.device.node import Node
 from bench.errors import BenchError, Interrupted, NodeError, UnsafeError
-from bench.live.manoeuvres import Act
 from bench.live.summary import run_rows
+from bench.motion.profile import SPEED, Act, Course, Profile
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
 from bench.rig.lock import alone_on
 from bench.rig.settings import Settings
@@ -261,10 +261,12 @@ def test_streams_that_an_earlier_host_has_left_in_a_drive_at_rest_are_taken_over
 
 
 def test_no_setpoint_goes_beyond_what_was_agreed(monkeypatch: pytest.MonkeyPatch) -> None:
-    def further(acts: tuple[Act, ...], seconds: float | None) -> list[Act]:
-        return [replace(acts[0], seconds=0.3), replace(acts[0], speed_rpm=900.0, seconds=0.3, title="faster")]
+    def further(profile: Profile, seconds: float | None) -> list[Act]:
+        (act,) = profile.acts
+        faster = Course(SPEED, 900.0, 900.0)
+        return [replace(act, seconds=0.3), replace(act, drive=faster, seconds=0.3, title="faster")]
 
-    monkeypatch.setattr("bench.live.run.timed", further)
+    monkeypatch.setattr(Profile, "timed", further)
     speeds: list[float] = []
     link = WatchedLink(simulated(), lambda call: speeds.append(link.device.bench.truth.omega_m * 30 / math.pi))
     ended = run(link)

@@ -238,13 +238,33 @@ def run_at(drive: Drive, record: Record, speed_rpm: float, seconds: float) -> No
     record.wait(ramp(drive, speed_rpm) + seconds)
 
 
-def around(record: Record, before: float, command: Callable[[], object], after: float) -> Capture:
-    """From `before` s before a command to `after` s after it."""
-    with record.stretch() as stretch:
+def around(
+    record: Record,
+    before: float,
+    command: Callable[[], object],
+    after: float,
+    then: Callable[[], object] = lambda: None,
+) -> Capture:
+    """From `before` s before a command to `after` s after it.
+
+    `then` is done before it is read, which takes long where the drive holds it: a load must not stay on meanwhile.
+    """
+    with record.stretch(before + after) as stretch:
         record.wait(before)
         command()
         record.wait(after)
+    then()
     return stretch.capture
+
+
+def loaded(record: Record, drive: Drive, amps: float, seconds: float, settling: float) -> Capture:
+    """So many s at a q current, after `settling` s; where the drive's memory is read, the current is off meanwhile."""
+    if not record.reads_memory:
+        record.wait(settling)
+        return record(seconds)
+    drive.current(amps)
+    record.wait(settling)
+    return around(record, 0.0, lambda: None, seconds, then=lambda: drive.current(0.0))
 
 
 def settle(record: Record, speed_rpm: float, within: float = 0.03, timeout: float = 5.0) -> bool:
@@ -255,7 +275,7 @@ def settle(record: Record, speed_rpm: float, within: float = 0.03, timeout: floa
     turn = 60.0 / abs(speed_rpm)
     good = 0
     for _ in range(math.ceil(timeout / turn)):
-        off = abs(float(rpm(record(turn)).mean()) - speed_rpm)
+        off = abs(float(rpm(record.streamed(turn)).mean()) - speed_rpm)
         good = good + 1 if off <= within * abs(speed_rpm) else 0
         if good == 2:
             return True

@@ -20,6 +20,7 @@ from bench.accept.suite.common import (
     WORDS,
     Figure,
     Measure,
+    loaded,
     percent,
     ratio,
     shares,
@@ -71,8 +72,8 @@ def test_fig13_thd_map(
             drive.current(amps * rated.current)
             for observer in APPROACHES:
                 drive.observe(observer)
-                record.wait(SETTLING)
-                captures[speed, amps, observer] = record(turns_for_thd(drive, speed * rated.speed_rpm))
+                seconds = turns_for_thd(drive, speed * rated.speed_rpm)
+                captures[speed, amps, observer] = loaded(record, drive, amps * rated.current, seconds, SETTLING)
     drive.stop()  # what follows takes longer than the watchdog
     thd = {}
     for (speed, amps, observer), capture in captures.items():

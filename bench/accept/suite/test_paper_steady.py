@@ -322,10 +322,11 @@ def _injected(drive: Drive, record: Record, where: Injection, f: float, amplitud
     """From before the sine begins until five periods of it, and enough turns, after the observer has settled."""
     drive.set("inject_hz", f)
     drive.set("inject_amplitude", amplitude)
-    with record.stretch() as stretch:
+    answer = SETTLING + max(5.0 / f, TURNS_SEEN / f_m)
+    with record.stretch(2.0 * BEFORE + answer) as stretch:
         record.wait(2.0 * BEFORE)
         drive.set("inject", where)
-        record.wait(SETTLING + max(5.0 / f, TURNS_SEEN / f_m))
+        record.wait(answer)
     drive.set("inject", Injection.OFF)
     return stretch.capture
 

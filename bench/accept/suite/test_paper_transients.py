@@ -182,7 +182,7 @@ def place(load: Load, record: Record) -> None:
 def start_up(drive: Drive, load: Load, record: Record, observer: str, speed: float) -> Transient:
     """From rest to `speed` r/min; afterwards the shaft is at rest again, and the outputs are off."""
     place(load, record)
-    with record.stretch() as stretch:
+    with record.stretch(1.3 + early(drive, speed)) as stretch:
         record.wait(0.05)
         drive.start(observer)
         drive.speed(rpm=speed)
@@ -418,8 +418,7 @@ def test_fig12_load_angle(
         drive.set("k_ic", gain)
         drive.set("load_angle_comp", float(gain != 0.0))
         record.wait(0.1)
-        run = around(record, 0.65, lambda: drive.current(full), 0.9)
-        drive.current(0.0)
+        run = around(record, 0.65, lambda: drive.current(full), 0.9, then=lambda: drive.current(0.0))
         runs[name] = Transient(run, float(run.t[int(np.argmax(run["i_q_ref"] > 0.5 * full))]))
         shifts[name] = error_shift(runs[name])
         measure(name, shifts[name], run)

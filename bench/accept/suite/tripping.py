@@ -95,8 +95,7 @@ def provoke(
     `still_sent`: the setpoint, i_d and i_q in A, that the drive gets in FAULT; `hold`: s that it is left there.
     """
     rig = record.rig
-    with drive.may_trip():
-        begin = rig.tick()
+    with drive.may_trip(), record.stretch(TIMEOUT + hold) as stretch:
         cause()
         caused = rig.tick()
         record.until(lambda: bool(drive.faults), TIMEOUT)
@@ -109,8 +108,7 @@ def provoke(
         if drive.faults or drive.state != DriveState.IDLE:  # it has not tripped, or goes its own ways
             drive.forget_faults()
         drive.start()
-        record.until(lambda: rig.recorder.newest >= end, 1.0)
-    run = rig.capture(begin, end)
+    run = stretch.capture.ticks(stretch.first, end)
     state, ticks = states(run), run.samples.tick
     after = np.logical_or.accumulate(state == DriveState.FAULT)
     latched = bool(after.any() and (state[after & (ticks < held)] == DriveState.FAULT).all())

@@ -117,6 +117,8 @@ def ring_run(path: Path) -> Path:
             writer.take(DeviceEventReceived(1, DeviceEvent(round(400.5 * HZ), EventCode.FAULT, 1, 1.0)))
         if at == 700:
             writer.take(Mark("here", 700 * HZ, 700 * HZ))
+        if at == 545:  # of a profile that is repeated for days: a ring keeps nothing for it
+            writer.take(Mark("step 1", 540 * HZ, 545 * HZ, routine=True))
         writer.take(continuity.chunk(chunk))
     writer.close()
     return path

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_host import SmallHost
 
-from protocol.messages import BlobWrite, Command, DriveState, EventCode, Fault, SetpointMode
+from protocol.messages import BlobWrite, Command, DriveState, Fault, SetpointMode
 from protocol.signals import DRIVE_PARAMETERS, Flag
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
@@ -59,9 +59,8 @@ def test_whatever_ends_running_ends_all_of_it(end):
     host.run(0.8)  # the shaft comes to rest
     assert device.drive.state is state
     assert {name: host.get(name).value for name in VOLATILE} == defaults
-    told = {event.arg: event.detail for _, event in host.kept.events if event.code == EventCode.PARAM_CHANGED}
-    ids = {p.name: p.id for p in DRIVE_PARAMETERS}
-    assert {name: told[ids[name]] for name in ASKED} == {name: defaults[name] for name in ASKED}
+    told = {each.name: each.value for each in host.kept.parameters if each.exact}
+    assert {name: told[name] for name in ASKED} == {name: defaults[name] for name in ASKED}
     host.set("i_trip", 16.0)
     if state is DriveState.FAULT:
         host.command(Command.FAULT_CLEAR, int(device.drive.machine.faults))
