@@ -43,6 +43,7 @@ const uint8_t hbp_widths[] = {0, 1, 1, 2, 2, 4, 4, 4};
 
 /* ---- bytes --------------------------------------------------------------------------------------------------------------- */
 
+#ifdef HBP_BYTE_BY_BYTE
 uint8_t *hbp_put16(uint8_t *to, uint32_t value)
 {
     to[0] = (uint8_t)value;
@@ -54,6 +55,18 @@ uint8_t *hbp_put32(uint8_t *to, uint32_t value)
 {
     return hbp_put16(hbp_put16(to, value & 0xFFFFu), value >> 16);
 }
+
+uint16_t hbp_get16(const uint8_t *from)
+{
+    return (uint16_t)(from[0] | from[1] << 8);
+}
+
+uint32_t hbp_get32(const uint8_t *from)
+{
+    return hbp_get16(from) | (uint32_t)hbp_get16(from + 2) << 16;
+}
+
+#endif
 
 uint8_t *hbp_put64(uint8_t *to, uint64_t value)
 {
@@ -96,16 +109,6 @@ static uint8_t *put_text(uint8_t *to, const char *text, size_t size)
     memset(to, 0, size);
     if (n) memcpy(to, text, n < size ? n : size);
     return to + size;
-}
-
-uint16_t hbp_get16(const uint8_t *from)
-{
-    return (uint16_t)(from[0] | from[1] << 8);
-}
-
-uint32_t hbp_get32(const uint8_t *from)
-{
-    return hbp_get16(from) | (uint32_t)hbp_get16(from + 2) << 16;
 }
 
 float hbp_get_float(const uint8_t *from)
@@ -197,8 +200,9 @@ void hbp_event(struct hbp *h, uint32_t code, float arg, float detail)
 
 void hbp_log(struct hbp *h, uint8_t level, const char *text)
 {
-    size_t n = text_length(text), most = h->peer->tx_max - 1u;
-    if (n > most) n = most;
+    size_t n = text_length(text), most = h->peer->tx_max;
+    if (most > h->link->most_news) most = h->link->most_news;
+    if (n >= most) n = most - 1u;
     h->link->work[0] = level;
     for (size_t k = 0; k < n; k++) h->link->work[1 + k] = (uint8_t)(control(text[k]) ? ' ' : text[k]);
     send(h, HBP_RANK_NEWS, HBP_TYPE_LOG, n + 1);
@@ -395,7 +399,7 @@ static uint16_t clear(struct hbp *h, uint32_t faults, float *detail)
 
 /* ---- requests: each writes its reply into link->work, and its length into *n; or returns a code -------------------------- */
 
-typedef uint16_t answer(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail);
+typedef uint16_t answer(struct hbp *h, const uint8_t *in, size_t *n, float *detail);
 
 static uint16_t finish(const struct hbp *h, const uint8_t *end, size_t *n)
 {
@@ -403,13 +407,12 @@ static uint16_t finish(const struct hbp *h, const uint8_t *end, size_t *n)
     return 0;
 }
 
-static uint16_t hello(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t hello(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     const struct hbp_config *config = h->config;
     uint32_t nonce = hbp_get32(in);
     uint16_t rx_max = hbp_get16(in + 6);
     uint8_t *to = h->link->work;
-    (void)length;
     if (in[4] > HBP_MAJOR || in[5] < HBP_MAJOR) {
         *detail = HBP_MAJOR;
         return HBP_ERROR_BAD_VERSION;
@@ -422,7 +425,7 @@ static uint16_t hello(struct hbp *h, const uint8_t *in, size_t length, size_t *n
         for (unsigned k = 0; k < HBP_KEPT; k++) h->peer->kept[k].there = 0;
         h->peer->nonce = nonce;
         h->peer->rx_max = rx_max;
-        h->peer->tx_max = rx_max < HBP_TX_MAX ? rx_max : HBP_TX_MAX;
+        h->peer->tx_max = rx_max < h->link->most ? rx_max : h->link->most;
         h->peer->greeted = 1;
     }
     to = hbp_put32(hbp_put32(to, nonce), h->boot_id);
@@ -440,15 +443,15 @@ static uint16_t hello(struct hbp *h, const uint8_t *in, size_t length, size_t *n
     return finish(h, to, n);
 }
 
-static uint16_t time_sync(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t time_sync(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
-    (void)in, (void)length, (void)detail;
+    (void)in, (void)detail;
     return finish(h, hbp_put64(hbp_put64(h->link->work, h->now), h->now), n);
 }
 
-static uint16_t alive(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t alive(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
-    (void)in, (void)length, (void)n, (void)detail;
+    (void)in, (void)n, (void)detail;
     feed(h);
     return 0;
 }
@@ -526,10 +529,9 @@ static size_t blob_reply(struct hbp *h, uint8_t id, uint32_t offset, uint32_t le
     return (size_t)(to - h->link->work);
 }
 
-static uint16_t blob_read(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t blob_read(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     uint32_t wanted = hbp_get16(in + 2), offset = hbp_get32(in + 4), total, room = h->peer->tx_max - 12u;
-    (void)length;
     *detail = (float)in[0];
     if (!find_blob(h, in[0], &total)) return HBP_ERROR_UNKNOWN_ID;
     *detail = (float)total;
@@ -541,10 +543,9 @@ static uint16_t blob_read(struct hbp *h, const uint8_t *in, size_t length, size_
 }
 
 #if HBP_WAVEFORM
-static uint16_t blob_write(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t blob_write(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     uint32_t more = hbp_get16(in + 2), offset = hbp_get32(in + 4), total;
-    (void)length;
     *n = 0;
     *detail = (float)in[0];
     if (!find_blob(h, in[0], &total)) return HBP_ERROR_UNKNOWN_ID;
@@ -578,12 +579,11 @@ static uint16_t parameter(const struct hbp *h, const uint8_t *in, uint16_t *k, f
     return HBP_ERROR_UNKNOWN_ID;
 }
 
-static uint16_t param_get(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t param_get(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     uint16_t k, code = parameter(h, in, &k, detail);
     const struct hbp_parameter *p;
     uint8_t *to;
-    (void)length;
     if (code) return code;
     p = &h->config->parameters[k];
     to = hbp_put16(hbp_put16(h->link->work, p->id), 0);
@@ -591,13 +591,12 @@ static uint16_t param_get(struct hbp *h, const uint8_t *in, size_t length, size_
     return finish(h, put_float(put_float(to, p->hi), p->initial), n);
 }
 
-static uint16_t param_set(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t param_set(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     const struct hbp_config *config = h->config;
     uint16_t k, code = parameter(h, in, &k, detail);
     const struct hbp_parameter *p;
     float value = hbp_get_float(in + 4);
-    (void)length;
     if (code) return code;
     p = &config->parameters[k];
     if (p->flags & HBP_FLAG_READ_ONLY) {
@@ -615,19 +614,18 @@ static uint16_t param_set(struct hbp *h, const uint8_t *in, size_t length, size_
     return finish(h, put_float(hbp_put16(hbp_put16(h->link->work, p->id), 0), parameter_value(h, k)), n);
 }
 
-static uint16_t param_commit(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t param_commit(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
-    (void)in, (void)length;
+    (void)in;
     *n = 0;
     if (outputs_on(h)) return wrong_state(h, detail);
     return h->config->commit ? h->config->commit(h->config->user, detail) : HBP_ERROR_NOT_SUPPORTED;
 }
 
-static uint16_t state_cmd(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t state_cmd(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     uint32_t argument = hbp_get32(in + 4);
     uint16_t code = 0;
-    (void)length;
     switch (in[0]) {
     case HBP_COMMAND_ARM: code = arm(h, argument, detail); break;
     case HBP_COMMAND_START: code = start(h, argument, detail); break;
@@ -657,10 +655,10 @@ static uint16_t use_setpoint(struct hbp *h, const uint8_t *in, float *detail)
     return h->config->setpoint(h->config->user, in[0], value, value2, detail);
 }
 
-static uint16_t setpoint(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t setpoint(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     uint16_t code = use_setpoint(h, in, detail);
-    (void)length, (void)n;
+    (void)n;
     if (code) {
         reject(h, code, *detail);
         return 0; /* there is no other answer */
@@ -811,13 +809,12 @@ static uint16_t fit(struct hbp *h, struct hbp_stream *s, const struct hbp_stream
     return 0;
 }
 
-static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     struct hbp_stream wanted, *s = &h->streams[in[0] & 3u];
     float share = 0.0f;
     uint16_t code;
     uint8_t *to = h->link->work;
-    (void)length;
     *detail = (float)(HBP_STREAMS - 1);
     if (in[0] >= HBP_STREAMS) return HBP_ERROR_OUT_OF_RANGE;
     memset(&wanted, 0, sizeof wanted);
@@ -849,12 +846,11 @@ static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t length, size
     return finish(h, hbp_put64(to + 3, h->config->tick0), n);
 }
 
-static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     const struct hbp_stream *s = &h->streams[in[0] & 3u];
     uint16_t channels = s->channels, most = (uint16_t)((h->peer->tx_max - 26u) / 2u);
     uint8_t *to = h->link->work;
-    (void)length;
     if (channels > most) channels = most;
     *detail = (float)(HBP_STREAMS - 1);
     if (in[0] >= HBP_STREAMS) return HBP_ERROR_OUT_OF_RANGE;
@@ -871,10 +867,9 @@ static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t length, size
     return finish(h, to, n);
 }
 
-static uint16_t stream_start(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t stream_start(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     uint32_t mask = hbp_get32(in);
-    (void)length;
     *n = 0;
     for (unsigned k = 0; k < 32; k++) {
         *detail = (float)k;
@@ -897,10 +892,10 @@ static uint16_t stream_start(struct hbp *h, const uint8_t *in, size_t length, si
 static int send_edges(struct hbp *h);
 static int send_blocks(struct hbp *h);
 
-static uint16_t stream_stop(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+static uint16_t stream_stop(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     uint32_t mask = hbp_get32(in);
-    (void)length, (void)detail;
+    (void)detail;
     *n = 0;
     for (unsigned k = 0; k < HBP_STREAMS; k++) {
         struct hbp_stream *s = &h->streams[k];
@@ -1018,7 +1013,7 @@ void hbp_tick(struct hbp *h, const void *sample)
         take(h, s, index, sample);
     }
 #if HBP_CAPTURE
-    if (h->capture && h->capture->running) hbp_capture_tick(h, sample);
+    if (h->captured.running) hbp_capture_tick(h, sample);
 #endif
     h->index++;
     h->periods = (uint32_t)h->index;
@@ -1044,7 +1039,7 @@ void hbp_edge(struct hbp *h, uint32_t tick, uint8_t before, uint8_t after, uint1
         h->edge_head = (uint16_t)(head + 1u);
     }
 #if HBP_CAPTURE
-    if (h->capture && h->capture->running) hbp_capture_edge(h, tick, codes, encoder);
+    if (h->captured.running) hbp_capture_edge(h, tick, codes, encoder);
 #endif
     h->edges++;
 }
@@ -1276,7 +1271,7 @@ static void execute(struct hbp *h, const struct request *request, unsigned k, st
         detail = (float)length;
         if (type == HBP_TYPE_SETPOINT) reject(h, code, detail);
     } else {
-        code = requests[k].answer(h, request->payload, length, &n, &detail);
+        code = requests[k].answer(h, request->payload, &n, &detail);
         if (!code && (type == HBP_TYPE_ALIVE || type == HBP_TYPE_SETPOINT)) return;
         if (!code) h->last_tid = request->tid;
     }
@@ -1327,7 +1322,7 @@ static struct hbp_peer *peer_of(struct hbp *h, uint8_t number)
     }
     memset(oldest, 0, sizeof *oldest);
     oldest->number = number;
-    oldest->tx_max = HBP_TX_MAX;
+    oldest->tx_max = h->link->most;
     return oldest;
 }
 
@@ -1661,6 +1656,7 @@ void hbp_link_init_sized(struct hbp_link *link, float bytes_per_s, size_t size)
     memset(link, 0, sizeof *link);
     link->base.way = &byte_way;
     link->base.capacity = bytes_per_s;
+    link->base.most = link->base.most_news = HBP_TX_MAX;
     link->skipping = 1;
 }
 

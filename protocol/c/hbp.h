@@ -97,8 +97,8 @@
  * core that runs the main loop, and 32-bit loads and stores are whole.
  *
  * TIME OF THE INTERRUPTS.  hbp_tick copies the chosen channels of each running stream: on a Cortex-M4, compiled for size, 50 instructions, 45
- * for each running stream of samples and 21 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 54,
- * hbp_may_run 17 and hbp_raise 22. While a capture waits, 19 to 43 more, and the copying of its record; hbp_edge then takes 133. CRC and COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
+ * for each running stream of samples and 17 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 54,
+ * hbp_may_run 17 and hbp_raise 22. While a capture waits, 40 more, and the copying of its record; hbp_edge then takes 102. CRC and COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
  *
  * WHAT IS LOST IS COUNTED.  Samples wait in blocks, one being filled by the interrupt, until the transmit queue has room. A block that
  * finds no free place is dropped whole, and counted: `tx_dropped`, the gap in `seq`, OVERRUN.
@@ -496,25 +496,27 @@ struct hbp_capture {
     volatile uint8_t state;      /* the main loop's; hbp_tick makes ARMED TRIGGERED */
     /* the main loop's, and the interrupts' to read while `running` */
     uint8_t trigger;             /* as armed */
-    uint8_t width, is_float;     /* of the channel that is watched, width 0: none */
-    uint8_t kind;                /* of the condition: 0 it is so, 1 it begins to be so, 2 the value changes */
+    uint8_t width;               /* of the channel that is watched, 0: none */
     /* hbp_tick's */
-    uint8_t was, wrapped, cause;
+    uint8_t leaves;              /* 1: the range is that which must be left before the condition counts */
+    uint8_t rounds, cause;       /* rounds of the ring of records: 0, 1, or more than one has been begun */
     /* hbp_edge's */
     uint8_t edge_wrapped, before_last;
     uint16_t edge_to;            /* where the next edge goes */
     uint16_t skip;               /* hbp_tick's: periods without a record before the next one */
     /* the main loop's, as above */
-    uint16_t decimation, record_bytes, edge_room, at, runs, channels, number;
-    uint32_t low, span, flip;    /* a raw value exclusive-or `flip` fulfils the condition from `low` to `low + span`; hbp_tick's for change */
-    uint8_t *records;            /* behind the edges */
+    uint16_t decimation, every, record_bytes, edge_room, at, channels, number; /* every: periods between two records */
+    uint32_t turned;             /* bits of a negative value of that channel to be inverted */
+    uint32_t low, span;          /* a value, made to fill 32 bits, fulfils the condition from `low` to `low + span` */
+    uint8_t *records, *end;      /* the ring behind the edges */
+    const struct hbp_run *runs_end;
     uint32_t ring_bytes;         /* of all records */
     uint32_t before, after;
     volatile uint32_t asked_tick, asked_faults;
     uint32_t pulse;              /* ticks */
     uint32_t room;               /* bytes of memory, 0: there is no capture */
     /* hbp_tick's */
-    uint32_t to;                 /* where the next record goes */
+    uint8_t *to;                 /* where the next record goes; `end`: the ring's beginning */
     uint32_t left;               /* records still to be taken after the trigger */
     uint32_t back;               /* records that had been taken from the trigger's on when it was seen */
     uint32_t faults;             /* at the trigger */
@@ -538,6 +540,7 @@ struct hbp { /* a device */
     struct hbp *other; /* the next one on the link */
 #if HBP_CAPTURE
     struct hbp_capture *capture; /* null: no memory for it */
+    struct hbp_capture captured;
 #endif
     uint32_t features, boot_id, schema_crc, period; /* period: ticks of a PWM period */
     uint64_t now, fed, armed, next_heartbeat;
@@ -559,9 +562,6 @@ struct hbp { /* a device */
     volatile uint32_t edges; /* since boot */
     volatile uint16_t edge_head, edge_tail;
     struct hbp_hall_edge ring[HBP_EDGES];
-#if HBP_CAPTURE
-    struct hbp_capture captured;
-#endif
 };
 
 struct hbp_link_base { /* what all kinds of link have */
@@ -570,6 +570,7 @@ struct hbp_link_base { /* what all kinds of link have */
     uint32_t bad, ignored; /* damaged frames; frames that are replies themselves */
     volatile uint32_t expired; /* stream frames that waited too long, on CAN */
     float capacity;        /* what it carries, 0: not known */
+    uint16_t most, most_news; /* bytes of a payload for which its queue has room: of a reply, of a LOG */
     uint8_t nodes;
     uint8_t work[HBP_TX_MAX];
 };

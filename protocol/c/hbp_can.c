@@ -21,12 +21,13 @@
 #define CRC_BYTES 4u
 #define MAX_GROUPS 16u
 #define REPLY 0x10u
+#define HEARTBEAT_FRAMES 8u /* at most: on a classic bus */
 #define MESSAGES 0u
 #define STREAMED 1u
 
 #define CHECK(name, condition) typedef char hbp_can_check_##name[(condition) ? 1 : -1]
 CHECK(bytes, HBP_CAN_BYTES == 8 || HBP_CAN_BYTES == 64);
-CHECK(messages, (HBP_CAN_MESSAGES & (HBP_CAN_MESSAGES - 1)) == 0 && HBP_CAN_MESSAGES <= 32768);
+CHECK(messages, (HBP_CAN_MESSAGES & (HBP_CAN_MESSAGES - 1)) == 0 && HBP_CAN_MESSAGES >= 32 && HBP_CAN_MESSAGES <= 32768);
 CHECK(streamed, (HBP_CAN_STREAMED & (HBP_CAN_STREAMED - 1)) == 0 && HBP_CAN_STREAMED >= 16 && HBP_CAN_STREAMED <= 32768);
 CHECK(transfers, HBP_CAN_TRANSFERS >= 2);
 
@@ -44,6 +45,19 @@ static void set_clock(struct hbp_can *can, uint64_t now)
 static int is_fd(const struct hbp_can *can)
 {
     return can->bus->data_bitrate != 0;
+}
+
+/* Bytes of a message that a frame has. */
+static uint32_t part_of(const struct hbp_can *can)
+{
+    return is_fd(can) ? 63u : 7u;
+}
+
+/* Bytes of the longest payload that so many frames carry, and that the device makes. */
+static uint16_t payload_in(const struct hbp_can *can, uint32_t frames)
+{
+    uint32_t bytes = frames * part_of(can) - HEADER - CRC_BYTES;
+    return (uint16_t)(bytes < HBP_TX_MAX ? bytes : HBP_TX_MAX);
 }
 
 static uint32_t padded(uint32_t n)
@@ -126,10 +140,10 @@ void hbp_can_gave_up(struct hbp_can *can)
 static int can_send(struct hbp *h, struct hbp_message *message)
 {
     struct hbp_can *can = can_of(h);
-    int reply = (message->flags & REPLY) != 0, fresh = message->transfer == HBP_NEXT_TRANSFER;
+    int reply = (message->flags & REPLY) != 0, fresh = message->transfer == HBP_NEXT_TRANSFER, fits;
     uint32_t slot = reply ? can->host : message->type & 15u;
     uint8_t *next = &can->next[reply ? slot : 14u + slot]; /* 2, 3, 4 come behind the hosts */
-    uint32_t part = is_fd(can) ? 63u : 7u, length = HEADER + message->n, frames, crc, sent = 0;
+    uint32_t part = part_of(can), length = HEADER + message->n, frames, crc, sent = 0;
     uint8_t raw[8], start[HEADER], end[CRC_BYTES];
     if (fresh) message->transfer = *next;
     raw[0] = message->type;
@@ -144,7 +158,9 @@ static int can_send(struct hbp *h, struct hbp_message *message)
         length += CRC_BYTES;
     }
     frames = (length + part - 1u) / part;
-    if (frames + (message->rank == HBP_RANK_REPLY ? 0 : HBP_CAN_MESSAGES / 2u) > room(can, MESSAGES)) return 0;
+    fits = frames + (message->rank == HBP_RANK_REPLY ? 0 : HBP_CAN_MESSAGES / 2u) <= room(can, MESSAGES);
+    if (fresh && (fits || reply)) *next = (uint8_t)((*next + 1u) & ID_MASK); /* a reply that is kept has its id, sent or not */
+    if (!fits) return 0;
     for (uint32_t k = 0; k < frames; k++) {
         uint32_t n = length - sent < part ? length - sent : part;
         uint32_t id = id_of(h, reply ? TO_HOST : STATUS, slot), toggle = k & 1u ? 0 : TOGGLE;
@@ -158,7 +174,6 @@ static int can_send(struct hbp *h, struct hbp_message *message)
             (uint8_t)((k ? 0 : START_BIT) | (k + 1u == frames ? END_BIT : 0) | toggle | message->transfer);
     }
     queue_frames(can, MESSAGES, frames);
-    if (fresh) *next = (uint8_t)((*next + 1u) & ID_MASK);
     if (message->rank == HBP_RANK_BEAT) h->beat = can->head[MESSAGES];
     return 1;
 }
@@ -441,6 +456,8 @@ uint32_t hbp_can_init_sized(struct hbp_can *can, const struct hbp_can_bus *bus, 
     can->base.way = &can_way;
     can->base.capacity = 1.0f;
     can->bus = bus;
+    can->base.most = payload_in(can, HBP_CAN_MESSAGES - HEARTBEAT_FRAMES);
+    can->base.most_news = payload_in(can, HBP_CAN_MESSAGES / 2u); /* the rest is left to replies */
     return 0;
 }
 

@@ -33,7 +33,7 @@ extern "C" {
 #define HBP_CAN_BYTES 8 /* data of a frame: 8, or 64 for CAN FD */
 #endif
 #ifndef HBP_CAN_MESSAGES
-#define HBP_CAN_MESSAGES 32 /* frames of messages that can wait, a power of two; the longest reply must fit in half of them */
+#define HBP_CAN_MESSAGES 32 /* frames of messages that can wait, a power of two, 32 at least: replies are as long as fits beside a heartbeat */
 #endif
 #ifndef HBP_CAN_STREAMED
 #define HBP_CAN_STREAMED 16 /* frames of streams that can wait, a power of two, 16 at least */

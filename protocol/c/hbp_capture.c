@@ -15,7 +15,6 @@
 #define HEAD 22u          /* of CAPTURE_ARM */
 #define REPLY_HEAD 66u
 #define ILLEGAL 0x40u
-#define CHANGE 2u         /* kind of a condition */
 #define NO_CODE 0xFFu
 #define SIGN 0x80000000u
 #define INFINITE 0x7F800000u
@@ -25,13 +24,7 @@ enum { FIRST, RECORDS, EDGES, EDGES_LOST, FIRST_EDGE, SIZE, CRC, ROOM, TICK, TIC
 
 /* ---- conditions on a channel: a range of its raw values, so that the interrupt compares whole numbers ------------------------ */
 
-/* A raw value as a number that grows with what it means; `flip` is of its type. */
-static uint32_t key_of(uint32_t raw, uint32_t flip, int is_float)
-{
-    uint32_t key = raw ^ flip;
-    return is_float && (raw & SIGN) ? key ^ (SIGN - 1u) : key;
-}
-
+/* What the values of a type are exclusive-or'd with to be in order from 0 on. */
 static uint32_t flip_of(uint8_t type)
 {
     switch (type) {
@@ -41,6 +34,44 @@ static uint32_t flip_of(uint8_t type)
     case HBP_RAW_F32: return SIGN;
     default: return 0;
     }
+}
+
+/* By which a value fills 32 bits: there signed ones are in order as others are, but for where they begin. */
+static uint32_t shift_of(const struct hbp_capture *c)
+{
+    return 32u - 8u * c->width;
+}
+
+/* From a value to the next one. */
+static uint32_t step_of(const struct hbp_capture *c)
+{
+    return 1u << shift_of(c);
+}
+
+/* The range becomes that of all other values. */
+static void take_others(struct hbp_capture *c)
+{
+    c->low += c->span + step_of(c);
+    c->span = 0u - c->span - 2u * step_of(c);
+}
+
+static uint32_t value_in(const struct hbp_capture *c, const uint8_t *sample)
+{
+    const uint8_t *from = sample + c->at;
+    uint32_t raw;
+    uint16_t half;
+    if (c->width > 2u) {
+        memcpy(&raw, from, sizeof raw);
+        return raw ^ ((0u - (raw >> 31)) & c->turned);
+    }
+    if (c->width < 2u) return (uint32_t)*from << 24;
+    memcpy(&half, from, sizeof half);
+    return (uint32_t)half << 16;
+}
+
+static int fulfilled(const struct hbp_capture *c, uint32_t value)
+{
+    return value - c->low <= c->span;
 }
 
 static float physical(const struct hbp_channel *channel, uint32_t key)
@@ -56,10 +87,10 @@ static float physical(const struct hbp_channel *channel, uint32_t key)
     return raw * channel->scale + channel->offset;
 }
 
-/* The range of keys that are above `level`, or below it: it ends where those of the type end. */
+/* The values that are above `level`, or below it: a range that ends where those of the type end. */
 static void find_range(struct hbp_capture *c, const struct hbp_channel *channel, float level, int above)
 {
-    uint32_t least = 0, most = 0xFFFFFFFFu >> (32u - 8u * hbp_widths[channel->type]), low, high;
+    uint32_t shift = shift_of(c), least = 0, most = 0xFFFFFFFFu >> shift, low, high;
     int rising = (channel->scale > 0.0f) == above;
     if (channel->type == HBP_RAW_F32) {
         least = ~(INFINITE | SIGN);
@@ -81,6 +112,8 @@ static void find_range(struct hbp_capture *c, const struct hbp_channel *channel,
         if (there == rising) high = middle;
         else low = middle + 1u;
     }
+    c->low = (c->low ^ flip_of(channel->type)) << shift;
+    c->span <<= shift;
 }
 
 /* ---- arming ---------------------------------------------------------------------------------------------------------------- */
@@ -92,13 +125,13 @@ static void watch(struct hbp *h, uint8_t trigger, uint16_t id, float level)
     c->width = 0;
     if (trigger < HBP_TRIGGER_ABOVE || trigger > HBP_TRIGGER_CHANGES || !channel) return;
     c->width = hbp_widths[channel->type];
-    c->is_float = channel->type == HBP_RAW_F32;
-    c->kind = (uint8_t)(trigger == HBP_TRIGGER_CHANGES ? CHANGE : trigger >= HBP_TRIGGER_RISES);
-    c->flip = flip_of(channel->type);
+    c->turned = channel->type == HBP_RAW_F32 ? SIGN - 1u : 0; /* negative floats are in the order of their magnitudes */
     c->at = channel->at;
-    c->was = c->kind;
-    c->low = 0, c->span = 0xFFFFFFFFu;
-    if (c->kind != CHANGE) find_range(c, channel, level, trigger == HBP_TRIGGER_ABOVE || trigger == HBP_TRIGGER_RISES);
+    c->leaves = trigger == HBP_TRIGGER_RISES || trigger == HBP_TRIGGER_FALLS;
+    if (trigger != HBP_TRIGGER_CHANGES) find_range(c, channel, level, trigger == HBP_TRIGGER_ABOVE || trigger == HBP_TRIGGER_RISES);
+    if (!c->width || !c->leaves) return;
+    if (c->span == 0u - step_of(c)) c->width = 0; /* it is always so, and never begins to be so */
+    else take_others(c);
 }
 
 /* Channels that stand side by side in the sample too are copied at once. */
@@ -106,16 +139,17 @@ static void find_runs(struct hbp *h)
 {
     struct hbp_capture *c = h->capture;
     struct hbp_run *run = NULL;
-    c->runs = 0;
+    uint32_t runs = 0;
     for (uint32_t k = 0; k < c->channels; k++) {
         const struct hbp_channel *channel = &h->config->channels[c->take[k]];
         if (!run || run->at + run->bytes != channel->at) {
-            run = &c->run[c->runs++];
+            run = &c->run[runs++];
             run->at = channel->at;
             run->bytes = 0;
         }
         run->bytes = (uint16_t)(run->bytes + hbp_widths[channel->type]);
     }
+    c->runs_end = c->run + runs;
 }
 
 /* Begin a capture as a CAPTURE_ARM says that has been found right. */
@@ -127,6 +161,7 @@ static void begin(struct hbp *h, const uint8_t *in, uint32_t record_bytes)
     HBP_BARRIER(); /* the interrupts are out of it */
     c->trigger = c->cause = in[0];
     c->decimation = hbp_get16(in + 2);
+    c->every = (uint16_t)(c->decimation - 1u);
     c->before = hbp_get32(in + 4);
     c->after = hbp_get32(in + 8);
     c->edge_room = hbp_get16(in + 18);
@@ -135,6 +170,7 @@ static void begin(struct hbp *h, const uint8_t *in, uint32_t record_bytes)
     c->number = (uint16_t)(c->number % 0xFFFFu + 1u);
     c->records = h->config->capture + EDGE_BYTES * c->edge_room;
     c->ring_bytes = (c->before + c->after) * record_bytes;
+    c->to = c->end = c->records + c->ring_bytes; /* the first record begins the first round */
     c->pulse = ticks >= 0.0f ? ticks < 4294967040.0f ? (uint32_t)ticks : 0xFFFFFFFFu : 0;
     hbp_take_channels(h, in + HEAD, c->channels, c->take);
     find_runs(h);
@@ -142,12 +178,12 @@ static void begin(struct hbp *h, const uint8_t *in, uint32_t record_bytes)
     memset(c->told, 0, sizeof c->told);
     c->calls.any = 0;
     c->calls.by.fresh = 1;
-    c->wrapped = c->edge_wrapped = 0;
+    c->rounds = c->edge_wrapped = 0;
     c->before_last = NO_CODE;
     c->edge_to = 0;
     c->edge_end = h->edges;
     c->edges_begun = h->edges;
-    c->to = c->left = 0;
+    c->left = 0;
     c->state = HBP_CAPTURE_ARMED;
     hbp_capture_ask(h, HBP_TRIGGER_NOW);
     HBP_BARRIER();
@@ -219,7 +255,7 @@ static uint16_t wrong(const struct hbp *h, const uint8_t *in, uint32_t *bytes, f
     return before > fits || after > fits - before ? HBP_ERROR_DOES_NOT_FIT : 0;
 }
 
-uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     struct hbp_capture *c = h->capture;
     uint32_t bytes;
@@ -235,15 +271,15 @@ uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t length, size_t
         if (code) return code;
         begin(h, in, bytes);
     }
-    return hbp_capture_status(h, in, length, n, detail);
+    return hbp_capture_status(h, in, n, detail);
 }
 
-uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     const struct hbp_capture *c = h->capture;
     uint8_t *to = h->link->work, asked = c->calls.by.asked, state = c->state;
     uint32_t most = (h->peer->tx_max - REPLY_HEAD) / ID_BYTES, channels = c->channels < most ? c->channels : most;
-    (void)in, (void)length, (void)detail;
+    (void)in, (void)detail;
     if (state != HBP_CAPTURE_ARMED) asked = c->cause;
     else if (asked) state = HBP_CAPTURE_TRIGGERED;
     *to++ = state;
@@ -270,38 +306,24 @@ void hbp_capture_ask(struct hbp *h, uint8_t trigger)
     c->calls.by.asked = trigger;
 }
 
-static int condition(struct hbp_capture *c, const uint8_t *sample)
+/* Bytes of the records that the ring has. */
+static uint32_t held(const struct hbp_capture *c)
 {
-    const uint8_t *from = sample + c->at;
-    uint32_t raw, key;
-    uint16_t half;
-    uint8_t in, was = c->was;
-    if (c->width == 2u) {
-        memcpy(&half, from, sizeof half);
-        key = half ^ c->flip;
-    } else if (c->width == 1u) {
-        key = *from ^ c->flip;
-    } else {
-        memcpy(&raw, from, sizeof raw);
-        key = key_of(raw, c->flip, c->is_float);
-    }
-    in = key - c->low <= c->span;
-    if (c->kind == CHANGE) {
-        c->low = key;
-        c->span = 0;
-        return !in;
-    }
-    c->was = in & c->kind;
-    return in & !was;
+    return c->rounds == 1 ? (uint32_t)(c->to - c->records) : c->rounds ? c->ring_bytes : 0;
 }
 
-static void take(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
+static void take(const struct hbp *h, const uint8_t *sample, struct hbp_capture *c)
 {
-    uint32_t at = c->to;
-    uint8_t *to = c->records + at;
+    uint8_t *to = c->to;
+    if (to == c->end) {
+        to = c->records;
+        c->edges_begun = h->edges;
+        c->rounds = (uint8_t)(2u * c->rounds | 1u);
+    }
+    c->skip = c->every;
 #if HBP_LITTLE_ENDIAN
-    const struct hbp_run *end = c->run + c->runs;
-    for (const struct hbp_run *run = c->run; run < end; run++) {
+    const struct hbp_run *run = c->run, *end = c->runs_end;
+    do { /* there is one at least */
         const uint8_t *from = sample + run->at, *words_end = from + (run->bytes & ~3u), *end_of_run = from + run->bytes;
         uint32_t word;
         for (; from != words_end; from += 4, to += 4) {
@@ -309,17 +331,12 @@ static void take(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
             memcpy(to, &word, sizeof word);
         }
         for (; from != end_of_run; from++) *to++ = *from;
-    }
+    } while (++run != end);
 #else
     hbp_copy_sample(h, c->take, c->channels, sample, to);
+    to += c->record_bytes;
 #endif
-    if (!at) c->edges_begun = h->edges;
-    at += c->record_bytes;
-    if (at == c->ring_bytes) {
-        at = 0;
-        c->wrapped = 1;
-    }
-    c->to = at;
+    c->to = to;
     if (c->left && --c->left == 0) c->running = 0;
 }
 
@@ -327,7 +344,7 @@ static void take(struct hbp *h, struct hbp_capture *c, const uint8_t *sample)
 static void trigger(struct hbp *h, struct hbp_capture *c, uint8_t cause, uint32_t late)
 {
     uint32_t back = (late + c->skip) / c->decimation; /* records that were taken since */
-    uint32_t have = (c->wrapped ? c->ring_bytes : c->to) / c->record_bytes, raised = h->raised;
+    uint32_t have = held(c) / c->record_bytes, raised = h->raised;
     if (back > have) back = have;
     c->back = back;
     c->index = h->index + c->skip - (uint64_t)back * c->decimation;
@@ -343,12 +360,17 @@ static void trigger(struct hbp *h, struct hbp_capture *c, uint8_t cause, uint32_
 }
 
 /* Something but a channel tells that the trigger has come; where an edge tells, perhaps only with a later period. */
-static void called(struct hbp *h, struct hbp_capture *c)
+static void called(struct hbp *h, struct hbp_capture *c, uint32_t value)
 {
     uint32_t tick = (uint32_t)h->config->tick0 + (uint32_t)h->index * h->period, late = tick - c->asked_tick;
     if (c->calls.by.fresh) {
         c->skip = (uint16_t)(hbp_rounded_up(h->index, c->decimation) * c->decimation - (uint32_t)h->index);
         c->calls.by.fresh = 0;
+        if (c->width && c->trigger == HBP_TRIGGER_CHANGES) {
+            c->low = value;
+            c->span = 0;
+            take_others(c);
+        }
     }
     if (c->state != HBP_CAPTURE_ARMED) return;
     if (c->calls.by.raised) trigger(h, c, HBP_TRIGGER_FAULT, 0);
@@ -356,17 +378,31 @@ static void called(struct hbp *h, struct hbp_capture *c)
     else if (c->calls.by.edged && c->edge_tick - tick - 1u >= h->period) trigger(h, c, c->trigger, 0);
 }
 
+/* Of hbp_capture_tick, what is seldom: by itself, so that the rest needs no registers saved. `value`: of the channel that is watched. */
+void hbp_capture_called(struct hbp *h, const uint8_t *sample, struct hbp_capture *c, uint32_t value)
+{
+    if (c->calls.any) called(h, c, value);
+    if (c->width && fulfilled(c, value)) {
+        if (!c->leaves) trigger(h, c, c->trigger, 0);
+        else take_others(c);
+        c->leaves = 0;
+    }
+    if (c->skip) c->skip--;
+    else take(h, sample, c);
+}
+
 void hbp_capture_tick(struct hbp *h, const uint8_t *sample)
 {
     struct hbp_capture *c = h->capture;
-    if (c->calls.any) called(h, c);
-    if (c->width && condition(c, sample)) trigger(h, c, c->trigger, 0);
-    if (c->skip) {
-        c->skip--;
-    } else {
-        c->skip = (uint16_t)(c->decimation - 1u);
-        take(h, c, sample);
+    uint32_t value = 0;
+    int met = 0;
+    if (c->width) {
+        value = value_in(c, sample);
+        met = fulfilled(c, value);
     }
+    if (met || c->calls.any) hbp_capture_called(h, sample, c, value);
+    else if (c->skip) c->skip--;
+    else take(h, sample, c);
 }
 
 void hbp_capture_edge(struct hbp *h, uint32_t tick, uint8_t codes, uint16_t encoder)
@@ -433,13 +469,13 @@ static void find_edges(struct hbp *h, uint32_t last_tick, uint64_t span, uint32_
 static void find_blob(struct hbp *h)
 {
     struct hbp_capture *c = h->capture;
-    uint32_t bytes = c->record_bytes, have = (c->wrapped ? c->ring_bytes : c->to) / bytes;
+    uint32_t bytes = c->record_bytes, have = held(c) / bytes, end = (uint32_t)(c->to - c->records) % c->ring_bytes;
     uint32_t behind = c->back > c->after ? c->back - c->after : 0; /* records that are newer than what was asked for */
     uint32_t first = have - (behind + c->after), records;
     uint64_t tick = h->config->tick0 + c->index * h->period;
     if (first > c->before) first = c->before;
     records = first + c->after;
-    c->start = later(c->to, c->ring_bytes - (behind + records) * bytes, c->ring_bytes);
+    c->start = later(end, c->ring_bytes - (behind + records) * bytes, c->ring_bytes);
     c->told[FIRST] = first;
     c->told[RECORDS] = records;
     c->told[TICK] = (uint32_t)tick;

@@ -4,6 +4,8 @@
 
 #include "hbp.h"
 
+#include <string.h>
+
 enum hbp_rank { HBP_RANK_REPLY, HBP_RANK_NEWS, HBP_RANK_BEAT, HBP_RANK_STREAM }; /* how much room it must leave to others */
 
 #define HBP_NEXT_TRANSFER 0xFFu
@@ -35,12 +37,43 @@ extern const uint8_t hbp_widths[]; /* bytes of each raw type */
 #define HBP_LITTLE_ENDIAN 0
 #endif
 
+/* Numbers on the wire; each put returns where the next one goes. In memory that a core reaches at any address they are one instruction. */
+#if HBP_LITTLE_ENDIAN && (!defined(__ARM_ARCH) || defined(__ARM_FEATURE_UNALIGNED))
+static inline uint8_t *hbp_put16(uint8_t *to, uint32_t value)
+{
+    uint16_t half = (uint16_t)value;
+    memcpy(to, &half, sizeof half);
+    return to + sizeof half;
+}
+
+static inline uint8_t *hbp_put32(uint8_t *to, uint32_t value)
+{
+    memcpy(to, &value, sizeof value);
+    return to + sizeof value;
+}
+
+static inline uint16_t hbp_get16(const uint8_t *from)
+{
+    uint16_t half;
+    memcpy(&half, from, sizeof half);
+    return half;
+}
+
+static inline uint32_t hbp_get32(const uint8_t *from)
+{
+    uint32_t value;
+    memcpy(&value, from, sizeof value);
+    return value;
+}
+#else
+#define HBP_BYTE_BY_BYTE
 uint8_t *hbp_put16(uint8_t *to, uint32_t value);
 uint8_t *hbp_put32(uint8_t *to, uint32_t value);
-uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags);
 uint32_t hbp_get32(const uint8_t *from);
 uint16_t hbp_get16(const uint8_t *from);
+#endif
 float hbp_get_float(const uint8_t *from);
+uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags);
 int hbp_finite(float value);
 void hbp_event(struct hbp *h, uint32_t code, float arg, float detail);
 uint32_t hbp_rounded_up(uint64_t index, uint16_t decimation);
@@ -62,10 +95,11 @@ uint16_t hbp_watchdog_ms(const struct hbp *h);
 uint32_t hbp_capture_init(struct hbp *h);
 void hbp_capture_ask(struct hbp *h, uint8_t trigger);                 /* main loop: the trigger, if it is armed with that one */
 void hbp_capture_tick(struct hbp *h, const uint8_t *sample);          /* interrupt, before the period is counted */
+void hbp_capture_called(struct hbp *h, const uint8_t *sample, struct hbp_capture *c, uint32_t value);
 void hbp_capture_edge(struct hbp *h, uint32_t tick, uint8_t codes, uint16_t encoder); /* interrupt, before the edge is counted */
 void hbp_capture_poll(struct hbp *h);
-uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail);
-uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail);
+uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t *n, float *detail);
+uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t *n, float *detail);
 uint32_t hbp_capture_blob_bytes(const struct hbp *h);                 /* 0: none is frozen */
 const uint8_t *hbp_capture_blob(const struct hbp *h, uint32_t offset, uint32_t *n); /* bytes there, at most *n */
 #endif

@@ -8,18 +8,19 @@ import numpy as np
 
 from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, FDF, RECORD, REMOTE, BusRates
 from protocol.device.app import DeviceApp, Identity
-from protocol.device.compiled import CompiledSession, library, structure
+from protocol.device.compiled import CompiledSession, host_options, library, structure
 
 POOL = 1 << 16  # bytes of samples that may wait in a stream
 
 
 class CompiledCan:
-    """One node on a CAN bus; see `canmap.device.CanDevice`. `frames`: stream frames that may wait, a power of two."""
+    """One node on a CAN bus; see `canmap.device.CanDevice`. `options`: see `protocol.device.compiled.library`."""
 
     def __init__(
-        self, app: DeviceApp, identity: Identity, rates: BusRates, extended: bool = False, frames: int = 1024
-    ) -> None:
-        self._lib = library(POOL, frames)
+        self, app: DeviceApp, identity: Identity, rates: BusRates, extended: bool = False,
+        options: str = host_options(POOL, 1024),
+    ) -> None:  # fmt: skip
+        self._lib = library(options)
         self._memory = ctypes.create_string_buffer(self._lib.shim_can_bytes())
         self._at = ctypes.addressof(self._memory)
         self._tick = 0

@@ -59,19 +59,27 @@ def compiler() -> list[str]:
     raise NoCompiler("no C compiler: install gcc or clang, or set CC to one")
 
 
-@cache
-def library(pool: int, frames: int) -> ctypes.CDLL:
-    """The device side as a shared library, compiled if need be.
+def host_options(pool: int, frames: int) -> str:
+    """Options of hbp.h for a host, which has memory: more than any firmware.
 
     Args:
         pool: bytes of samples that may wait in a stream.
         frames: stream frames that may wait on a CAN bus, a power of two.
+    """
+    return f"{OPTIONS} HBP_POOL_BYTES={pool} HBP_CAN_STREAMED={frames}"
+
+
+@cache
+def library(options: str) -> ctypes.CDLL:
+    """The device side as a shared library, compiled if need be.
+
+    Args:
+        options: those of hbp.h and hbp_can.h that are not as there: `NAME=VALUE`, with spaces between them.
 
     Raises:
         NoCompiler: there is no compiler, or it fails.
     """
-    options = [*OPTIONS.split(), f"HBP_POOL_BYTES={pool}", f"HBP_CAN_STREAMED={frames}"]
-    command = [*compiler(), *FLAGS.split(), *(f"-D{option}" for option in options)]
+    command = [*compiler(), *FLAGS.split(), *(f"-D{option}" for option in options.split())]
     digest = hashlib.sha256(repr(command).encode())
     for file in sorted(SOURCE.rglob("*.[ch]")):
         digest.update(file.read_bytes())
@@ -327,7 +335,7 @@ class CompiledLink:
     """
 
     def __init__(self, pool: int = 1 << 16, capacity: float | None = None) -> None:
-        self._lib = library(max(pool, MIN_POOL) & ~3, 1024)
+        self._lib = library(host_options(max(pool, MIN_POOL) & ~3, 1024))
         self._memory = ctypes.create_string_buffer(self._lib.shim_link_bytes())
         self._at = ctypes.addressof(self._memory)
         self._tick = 0

@@ -9,11 +9,11 @@ from collections import deque
 
 import numpy as np
 
-from protocol.canmap.compiled import CompiledCan
+from protocol.canmap.compiled import POOL, CompiledCan
 from protocol.canmap.device import MAX_AGE, CanDevice
 from protocol.canmap.frame import CAN_RECORD, ERROR, ERROR_CONTROLLER, ERROR_OVERFLOW, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
-from protocol.device.compiled import CompiledLink, CompiledSession
+from protocol.device.compiled import CompiledLink, CompiledSession, host_options
 from protocol.device.session import DeviceApp, DeviceLink, DeviceSession, Identity
 from protocol.device.tx import TxQueue
 from protocol.wire import ByteWire, HostWire
@@ -106,7 +106,7 @@ class CanNetwork:
         device: CanDevice | CompiledCan
         rates, extended, frames = self.bus.rates, self._extended, self._tx_frames
         if self._compiled:
-            device = CompiledCan(app, identity, rates, extended, frames)
+            device = CompiledCan(app, identity, rates, extended, host_options(POOL, frames))
         else:
             device = CanDevice(app, identity, rates, extended, TxQueue(frames * RECORD_BYTES, control_limit=1 << 16))
         controller = self.bus.attach(device.take, device.receive, identity.name, device.receive)

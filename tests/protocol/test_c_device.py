@@ -14,13 +14,13 @@ from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, pack_e
 from test_same_answers import REQUEST, U8, loose
 from test_vectors import each
 
-from protocol.canmap.compiled import CompiledCan
+from protocol.canmap.compiled import POOL, CompiledCan
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
 from protocol.canmap.ids import CanClass
 from protocol.canmap.transport import CanCounters, Reassembler
-from protocol.device.compiled import SOURCE, CompiledLink, compiler
+from protocol.device.compiled import SOURCE, CompiledLink, compiler, host_options
 from protocol.device.tx import TxQueue
 from protocol.framing import MAJOR, Frame, parse_frame
 from protocol.messages import (
@@ -167,7 +167,7 @@ def by_identifier(records: bytes) -> tuple[dict[int, list], list[tuple]]:
 def test_same_frames_as_in_python_on_can(steps: list, rates: BusRates, extended: bool) -> None:
     tx = TxQueue(1 << 24, 1 << 20)
     python = CanDevice(SmallDrive(), identity(), rates, extended, tx)
-    c = CompiledCan(SmallDrive(), identity(), rates, extended, 1 << 13)
+    c = CompiledCan(SmallDrive(), identity(), rates, extended, host_options(POOL, 1 << 13))
     wires = [CanWire(rates, 1, extended, host) for host in range(3)]
     python.advance(0)
     c.advance(0)

@@ -143,7 +143,7 @@ static void capture(void)
 {
     static const uint8_t status[1] = {0}, off[22] = {0};
     static const uint8_t channels[16] = {1, 0, 2, 0, 3, 0, 4, 0, 12, 0, 15, 0, 16, 0, 17, 0};
-    uint8_t arm[38] = {HBP_TRIGGER_ABOVE, 0, 1, 0, 200, 0, 0, 0, 64, 0, 0, 0, 0, 0, 0x80, 0x44, 12, 0, 50, 0, 8, 0}; /* above 1024 A */
+    uint8_t arm[38] = {HBP_TRIGGER_ABOVE, 0, 1, 0, 200, 0, 0, 0, 64, 0, 0, 0, 0, 0, 0x80, 0x41, 12, 0, 50, 0, 8, 0}; /* above 16 A */
     struct sample sample = {0};
     hbp_link_init(&link, 1e6f);
     if (hbp_add(&link, &drive, &motor_config, 1)) return;
