@@ -160,8 +160,11 @@ def tells_a_change(frame: tuple) -> bool:
     return kind == MessageType.EVENT and payload[8:10] == bytes((EventCode.PARAM_CHANGED, 0))
 
 
+MINOR_AT = 9  # in the payload of a HELLO reply
+
+
 def without_choices(said: list[tuple]) -> list[tuple]:
-    """Replies, and events in any order; without cfg_id, which a device chooses, and changes of parameters."""
+    """Replies, and events in any order; without cfg_id, which a device chooses, minor, and changes of parameters."""
     found = []
     for kind, flags, *rest, payload in said:
         if tells_a_change((kind, flags, *rest, payload)):
@@ -169,6 +172,8 @@ def without_choices(said: list[tuple]) -> list[tuple]:
         if flags & REPLY and not flags & ERROR:
             if kind == MessageType.STREAM_SET:
                 rest = [*rest[:2], rest[2][:2] + rest[2][4:], rest[3]]
+            elif kind == MessageType.HELLO:
+                payload = payload[:MINOR_AT] + payload[MINOR_AT + 1 :]
             elif kind == MessageType.STREAM_GET:
                 payload = payload[:8] + payload[10:]
         if flags & REPLY or kind == MessageType.EVENT:
