@@ -361,8 +361,9 @@ class Device:
 
     def arm(self) -> None:
         """ARMED, fed. Raises Unknown."""
+        every = min(ALIVE, self.watchdog / 4)  # before ARM: a slow link takes longer than the watchdog
         require_granted(self.probe.command(Command.ARM, self.hello.boot_id), "ARM")
-        self.feed()
+        self.probe.feed_every = every
 
     def run(self) -> None:
         """RUNNING at zero current, fed. Raises Unknown."""
