@@ -14,7 +14,7 @@ from bench.cli.files import RUN, check_files, json_option, overwrite_option, wri
 from bench.cli.number import Number
 from bench.cli.options import channels_option, operator_option
 from bench.cli.streams import echo, note
-from bench.cli.target import TARGET
+from bench.cli.target import target_argument
 from bench.files import STANDARD_OUTPUT
 from protocol.text import counted
 
@@ -39,7 +39,7 @@ class Percent(click.ParamType[float]):
 
 
 @click.command("capture")
-@click.argument("target", type=TARGET)
+@target_argument()
 @click.option("--trigger", metavar="COND",
               help="What freezes it: 'i_q > 4', 'i_q rises 4', 'i_q falls 4', 'status changes', 'pulse < 5 us', "
               "fault, state, illegal or now.")  # fmt: skip

@@ -15,7 +15,7 @@ from bench.cli.files import FILE, OR_STANDARD_OUTPUT, check_files, json_option, 
 from bench.cli.number import Number
 from bench.cli.options import setting
 from bench.cli.streams import echo, note
-from bench.cli.target import TARGET, TargetType
+from bench.cli.target import TARGET, TargetType, target_argument
 from bench.errors import BenchError, ExitCode, UnsafeError
 from bench.files import STANDARD_OUTPUT, write
 from protocol.text import counted
@@ -84,7 +84,7 @@ def _device(target: str, number: int | None, writes: bool = False) -> Iterator[t
 
 
 @command.command("list")
-@click.argument("target", type=TARGET)
+@target_argument()
 @group_option
 @click.option("--changed", is_flag=True, help="Only parameters that are not at their default.")
 @node_option
@@ -191,7 +191,7 @@ def _say_written(parameters: Parameters, wanted: dict[str, float], stored: dict[
 
 
 @command.command("save")
-@click.argument("target", type=TARGET)
+@target_argument()
 @node_option
 def save(target: str, node: int | None) -> None:
     """Have the drive store all its parameters permanently, as they are.
@@ -209,7 +209,7 @@ def save(target: str, node: int | None) -> None:
 
 
 @command.command("dump")
-@click.argument("target", type=TARGET)
+@target_argument()
 @click.option("-o", "--out", metavar="FILE", type=OR_STANDARD_OUTPUT, default="-", help="File to write [default: -].")
 @reason_option
 @node_option
@@ -241,7 +241,7 @@ def dump(target: str, out: Path, reason: str, node: int | None, overwrite: bool)
 
 @command.command("load")
 @click.argument("file", metavar="FILE", type=FILE)
-@click.argument("target", type=TARGET)
+@target_argument()
 @click.option("--check", "check_only", is_flag=True, help="Write nothing; exit code 1 if the drive differs from FILE.")
 @group_option
 @click.option("--other-drive", is_flag=True, help="Load calibration of a drive with another serial number, too.")
@@ -353,7 +353,7 @@ def diff(a: str, b: str, groups: tuple[str, ...], node: int | None, json_file: P
 
 
 @command.command("watch")
-@click.argument("target", type=TARGET)
+@target_argument()
 @click.option("--duration", metavar="S", type=Number(above=0), help="Stop after S seconds [default: at Ctrl-C].")
 @node_option
 def watch(target: str, duration: float | None, node: int | None) -> None:

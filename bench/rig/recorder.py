@@ -76,10 +76,16 @@ class Recorder:
             raise BenchError(f"channel '{channel}' is not in the stream")
         return float(chunk.physical(channel)[-1])
 
-    def capture(self, first: int, last: int, parameters: Mapping[str, float]) -> Capture:
+    @property
+    def sets(self) -> int:
+        """How many parameters have been set so far."""
+        return len(self._set)
+
+    def capture(self, first: int, last: int, parameters: Mapping[str, float], sets: int | None = None) -> Capture:
         """What lies between the ticks `first` and `last`, both included. BenchError if that is nothing.
 
-        `parameters`: the drive's before it was recorded.
+        `parameters`: the drive's before it was recorded. `sets`: how many had been set when it began, which tells where
+        the clock does not: in virtual time it may stand still meanwhile.
         """
         chunks = [c for c in self._samples if c.tick[-1] >= first and c.tick[0] <= last]
         if not chunks:
@@ -95,7 +101,10 @@ class Recorder:
             )
         if self.newest < last:
             dropped.append((self.newest, last, f"no sample received after {self._at(self.newest)}"))
-        known = course(parameters, self._set).since(first + 1)  # with what was set at its first tick
+        known = course(parameters, self._set).since(int(samples.tick[0]))
+        if sets is not None:
+            before = course(parameters, self._set[:sets]).since(last + 1)
+            known = course(before, self._set[sets:])
         return Capture(samples, edges, known, tuple(dropped))
 
     def count(self) -> tuple[int, int]:

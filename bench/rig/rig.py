@@ -493,10 +493,10 @@ class Rig:
         At least some samples are waited for.
         """
         seconds = max(seconds, FEW / self.samples.rate if self.samples is not None else 0.0)
-        first = self.tick()
+        first, sets = self.tick(), self.recorder.sets
         last = first + round(seconds * self.recorder.tick_hz)
         self.until(lambda: self.recorder.newest >= last or self._silent(first), seconds + LATE)
-        return self.between(first, last)
+        return self.between(first, last, sets)
 
     @contextmanager
     def recording(self, seconds: float | None = None) -> Iterator[Stretch]:
@@ -505,7 +505,7 @@ class Rig:
         `seconds`: how long it will last about, for a drive that has to hold it in its memory; None: 2.5 s at most.
         """
         held = None if self.full_rate is None else self.full_rate.begin(seconds)
-        stretch = Stretch(self, self.tick(), held=held)
+        stretch = Stretch(self, self.tick(), held=held, sets=self.recorder.sets)
         try:
             yield stretch
         finally:
@@ -574,11 +574,11 @@ class Rig:
         memory.give_up()
         return captured.capture(self.drive.parameters)
 
-    def between(self, first: int, last: int) -> Capture:
-        """What came by the link between two device ticks. BenchError if nothing did."""
+    def between(self, first: int, last: int, sets: int | None = None) -> Capture:
+        """What came by the link between two device ticks; `sets`: see `Recorder.capture`. BenchError if nothing did."""
         if self.recorder.newest < first:
             raise BenchError(f"no DATA for {SILENCE:g} s on {self.client.link.name}")
-        return self.recorder.capture(first, last, {value.name: value.value for value in self.before})
+        return self.recorder.capture(first, last, {value.name: value.value for value in self.before}, sets)
 
     def latest(self, channel: str) -> float:
         """The newest value of a channel, in its unit. BenchError before the first sample, or without that channel."""
@@ -784,8 +784,10 @@ class Stretch:
     last: int = -1
     held: Held | None = None
     """What the drive's memory holds of it, where the link is too slow."""
+    sets: int | None = None
+    """How many parameters had been set when it began."""
 
     @property
     def capture(self) -> Capture:
         """What came in it; read at the first call, where the drive holds it. BenchError if nothing did."""
-        return self.rig.between(self.first, self.last) if self.held is None else self.held.read()
+        return self.rig.between(self.first, self.last, self.sets) if self.held is None else self.held.read()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from protocol.descriptor import Descriptor
+from protocol.device.records import Samples, made
 from protocol.messages import Heartbeat
 from sim.ports.device import SimulatedDevice
 
@@ -24,8 +25,12 @@ def of_edges(device: SimulatedDevice, lie: Callable[[Records], Records]) -> Simu
 
 def of_samples(device: SimulatedDevice, lie: Callable[[Records], Records]) -> SimulatedDevice:
     """`lie` makes of samples, of all channels, what is sent."""
-    push = device.drive.push_samples
-    device.drive.push_samples = lambda index, tick, raw: push(index, tick, lie(raw.copy()))  # type: ignore[method-assign]
+    push, every = device.drive.push_samples, frozenset(channel.name for channel in device.drive.app.channels)
+
+    def pushed(index: int, tick: int, raw: Samples) -> None:
+        push(index, tick, lie(made(raw, every).copy()))
+
+    device.drive.push_samples = pushed  # type: ignore[method-assign]
     return device
 
 
@@ -46,5 +51,5 @@ def of_flags(device: SimulatedDevice, name: str, more: int) -> SimulatedDevice:
     drive = device.drive
     channels = [replace(c, flags=c.flags | more) if c.name == name else c for c in drive.app.channels]
     drive.descriptor = Descriptor.of(channels, drive.app.parameters)
-    drive._blob = drive.descriptor.pack()
+    drive._blobs._fixed[0] = drive.descriptor.pack()
     return device

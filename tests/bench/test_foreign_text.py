@@ -49,7 +49,7 @@ def hostile(simulates: bool = True) -> SimulatedDevice:
         tuple(replace(c, name=CHANNEL) if c.name == "theta_sc" else c for c in told.channels),
         tuple(replace(p, name=PARAMETER) if p.name == "k_i_vt" else p for p in told.parameters),
     )
-    session._blob = session.descriptor.pack()
+    session._blobs._fixed[0] = session.descriptor.pack()
     return device
 
 

@@ -228,16 +228,16 @@ LOOPS = {
     "control's angle": Kind(
         "the control's angle is {size} ahead above 500 rad/s", (0.5, 2.0), "control_angle",
         lambda s: s,
-        change=Change("drive/tick_firmware", "angle.theta",
-                     "angle.theta + (SIZE * DEG if abs(angle.omega) > 500.0 else 0.0)", "step"),
+        change=Change("drive/tick_firmware", "cos_sin(theta)",
+                     "cos_sin(theta + (SIZE * DEG if abs(angle.omega) > 500.0 else 0.0))", "step"),
         unit="deg",
     ),
     "control's speed": Kind(
         "the speed loop takes the speed for {size} more", (0.002, 0.02), "true_speed",
         lambda s: 1.0 / (1.0 + s) - 1.0,
         change=Change("drive/tick_firmware",
-                     "speed_loop.step(params.speed, speed, command.omega_m, omega / params.n_p)",
-                     "speed_loop.step(params.speed, speed, command.omega_m, (1.0 + SIZE) * omega / params.n_p)"),
+                     "speed_loop.step(limits, speed, command.omega_m, omega / params.n_p - added)",
+                     "speed_loop.step(limits, speed, command.omega_m, (1.0 + SIZE) * omega / params.n_p - added)"),
     ),
     "torque command": Kind(
         "a current that is asked for is taken for {size} less", (0.01, 0.05), "true_current",
@@ -259,13 +259,13 @@ LOOPS = {
         "the decoupling of the d axis is {size} less (200 %: its sign is wrong)", (0.5, 1.0, 2.0),
         "d_error_area", lambda s: s * FAST * L * 4.0 / K_I,
         change=Change("control/current_loop", "omega_e * params.L_s * i_q",
-                      "omega_e * params.L_s * i_q * (1.0 - SIZE)"),
+                      "omega_e * params.L_s * i_q * (1.0 - SIZE)", "step"),
     ),
     "fed back-EMF": Kind(
         "the current loop feeds {size} less of the back-EMF forward", (0.1, 1.0), "q_area_speeding",
         lambda s: -s * PSI * (FAST - SLOW) / K_I,
         change=Change("control/current_loop", "params.L_s * i_d + params.psi_f",
-                     "params.L_s * i_d + params.psi_f * (1.0 - SIZE)"),
+                     "params.L_s * i_d + params.psi_f * (1.0 - SIZE)", "step"),
     ),
     "gain of the current loop": Kind(
         "k_p of the current loop is {size} less than it says", (0.05, 0.2, 0.4), "rise_time",

@@ -114,7 +114,7 @@ def _unrated(*lacking: str) -> SpoiltLink:
     for session in device.sessions:
         session.app.parameters = [p for p in session.app.parameters if p.name not in lacking]  # type: ignore[misc]
         session.descriptor = Descriptor.of(session.app.channels, session.app.parameters)
-        session._blob = session.descriptor.pack()
+        session._blobs._fixed[0] = session.descriptor.pack()
     return SpoiltLink(device)
 
 

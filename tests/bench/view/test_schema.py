@@ -65,8 +65,8 @@ def test_hall_lanes_follow_the_bit_order() -> None:
 
 
 def test_faults_of_a_later_version_keep_their_number() -> None:
-    assert (states.fault_text(0), states.fault_text(0x80)) == ("no fault", "0x80")
-    assert states.fault_text(0x81) == "WATCHDOG 0x80"
+    assert (states.fault_text(0), states.fault_text(0x100)) == ("no fault", "0x100")
+    assert states.fault_text(0x101) == "WATCHDOG 0x100"
 
 
 @pytest.mark.parametrize(("code", "arg", "detail", "words"), [

@@ -100,7 +100,7 @@ def health(start: Callable[..., Program], target: str) -> dict:
 
 def test_a_drive_is_known_turns_loses_nothing_and_stops(start: Callable[..., Program], target: str) -> None:
     (node,) = told(start("info", target, "--json", "-"))["nodes"]
-    assert node["identity"]["features"] == ["edges", "simulated"]
+    assert node["identity"]["features"] == ["edges", "simulated", "capture", "meanings"]
     assert [channel["name"] for channel in node["channels"]][:4] == ["hall", "status", "theta_enc", "omega_enc"]
     assert node["health"]["state"] == "IDLE"
     for _ in range(3):  # in real time, whoever takes the machine for long makes a drive drop samples, or trip
