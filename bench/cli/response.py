@@ -117,6 +117,6 @@ def _print(measured: Measured) -> None:
 
 def _said(value: Value, unit: str) -> str:
     if value.value is None:
-        return "not reached by these frequencies"
+        return "not known: outside these frequencies, or the answer is too noisy there"
     width = "" if value.half_width is None else f" +- {value.half_width:.2g}"
     return f"{value.value:.4g}{width} {unit}"

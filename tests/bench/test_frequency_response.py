@@ -108,6 +108,30 @@ def test_the_intervals_hold_the_truth() -> None:
     assert 0.5 < float(np.median(widths)) < 15.0
 
 
+@pytest.mark.parametrize("sd", [0.005, 0.02, 0.1, 0.3, 1.0, 3.0])
+def test_however_noisy_a_margin_is_near_or_not_known(sd: float) -> None:
+    """Never a margin that is far from the truth with an interval that does not say so."""
+    loop = Loop(600.0)
+    crossover, margin = loop.margins()
+    f = np.linspace(100.0, 7900.0, 100_000)
+    lag = f[int(np.argmax(np.unwrap(np.angle(loop.open(f))) < -np.pi))]
+    gain = -20.0 * math.log10(abs(loop.open(np.array([lag]))[0]))
+    t = loop.open(f) / (1.0 + loop.open(f))
+    band = float(f[int(np.argmax(np.abs(t) < math.sqrt(0.5)))])
+    truth = {"crossover": crossover, "phase_margin": margin, "gain_margin": gain, "bandwidth": band}
+    said = wrong = 0
+    for seed in range(12):
+        found = measured(loop, sd=sd, seed=seed).margins()
+        for name, true in truth.items():
+            value, width = getattr(found, name)
+            said += value is not None
+            if value is not None:
+                assert width is not None
+                wrong += abs(value - true) > 2.0 * width + 0.02 * abs(true)
+    assert wrong <= 0.06 * max(said, 1) + 1
+    assert said >= (40 if sd <= 0.02 else 20 if sd <= 0.1 else 0)
+
+
 def test_deviation_is_the_scatter_of_repetitions() -> None:
     loop = Loop(600.0)
     many = [measured(loop, sd=0.05, seed=seed) for seed in range(30)]

@@ -26,7 +26,7 @@ Complexes = NDArray[np.complex128]
 LEAST_PERIODS = 4
 """Periods without which a scatter tells nothing."""
 
-BELIEVED = 0.3
+BELIEVED = 0.15
 """Standard deviation of a response, as a share of it, up to which margins are read from a line."""
 
 
@@ -38,7 +38,7 @@ class Value(NamedTuple):
 
 
 class Margins(NamedTuple):
-    """How far a loop is from oscillating. A value is None where the lines do not reach what it is read at."""
+    """How far a loop is from oscillating; None where the lines do not reach what it is read at, or are uncertain."""
 
     crossover: Value
     """Hz, where the open loop's gain is 1; of several places the one with the smallest phase margin."""
@@ -47,7 +47,7 @@ class Margins(NamedTuple):
     gain_margin: Value
     """dB that the open loop is below 1 where it lags by 180 degrees."""
     bandwidth: Value
-    """Hz, where the closed loop's gain falls through 1 / sqrt 2."""
+    """Hz, where the closed loop's gain falls through 1 / sqrt 2; None where it does so more than once."""
     peak: Value
     """dB, the largest gain of the closed loop at a line."""
 
@@ -89,20 +89,26 @@ class FrequencyResponse:
         return np.asarray(np.sqrt(np.sum(np.abs(left) ** 2, axis=0) / (2.0 * n * (n - 1) * power)))
 
     def margins(self) -> Margins:
-        """Margins with their intervals, by leaving out one period at a time (jackknife)."""
-        known = self.deviation <= BELIEVED * np.abs(self.closed)
-        whole = _margins(self.f, self.closed, known)
+        """Margins with their intervals, by leaving out one period at a time (jackknife).
+
+        A margin is read from lines that are known well enough only, and is not known itself where it is not there
+        without one of the periods.
+        """
+        closed = self.closed
+        sure = self.deviation <= BELIEVED * np.abs(closed)
+        sure_open = sure & (self.deviation <= BELIEVED * np.abs(closed * (1.0 - closed)))  # of L: dT / (1 - T)
+        known = _longest(sure), _longest(sure_open)
+        whole = _margins(self.f, closed, *known)
         n = len(self.references)
-        parts = [_margins(self.f, _closed(*_without(k, self.references, self.outputs)), known) for k in range(n)]
-        factor = float(stats.t.ppf(0.975, n - 1))
+        parts = [_margins(self.f, _closed(*_without(k, self.references, self.outputs)), *known) for k in range(n)]
+        factor = float(stats.t.ppf(0.975, n - 1)) * math.sqrt((n - 1) / n)
         found = []
-        for at, value in enumerate(whole):
-            others = [part[at] for part in parts]
-            if value is None or any(other is None for other in others):
-                found.append(Value(value, None))
-                continue
-            scatter = np.array(others, dtype=float) - np.mean(np.array(others, dtype=float))
-            found.append(Value(value, factor * math.sqrt((n - 1) / n * float(np.sum(scatter**2)))))
+        for value, others in zip(whole, zip(*parts, strict=True), strict=True):
+            each = [other for other in others if other is not None]
+            if value is None or len(each) < n:
+                found.append(Value(None, None))
+            else:
+                found.append(Value(value, factor * float(np.linalg.norm(np.array(each) - np.mean(each)))))
         return Margins(*found)
 
 
@@ -145,27 +151,40 @@ def _without(k: int, *arrays: Complexes) -> list[Complexes]:
     return [np.delete(array, k, axis=0) for array in arrays]
 
 
-def _margins(f: Floats, closed: Complexes, known: NDArray[np.bool_]) -> tuple[float | None, ...]:
-    """In the order of `Margins`; `known`: lines that are to be believed. Of several crossovers the worst counts."""
+def _margins(
+    f: Floats, closed: Complexes, sure: NDArray[np.bool_], sure_open: NDArray[np.bool_]
+) -> tuple[float | None, ...]:
+    """In the order of `Margins`; `sure`, `sure_open`: lines at which T and L are known. The worst crossover counts."""
     opened = closed / (1.0 - closed)
     gain, x = np.log(np.abs(opened)), np.log(f)
     phase = np.unwrap(np.angle(opened))
     phase -= 2.0 * np.pi * round((phase[0] + np.pi / 2) / (2.0 * np.pi))  # a loop with an integral begins near -90
-    crossovers = [(math.pi + float(np.interp(at, x, phase)), at) for at in _crossings(x, gain, known)]
+    crossovers = [(math.pi + float(np.interp(at, x, phase)), at) for at in _crossings(x, gain, sure_open)]
     margin, crossover = min(crossovers, default=(None, None))
-    lags = [float(np.interp(at, x, gain)) for at in _crossings(x, phase + np.pi, known)]
-    bands = _crossings(x, np.log(np.abs(closed)) + 0.5 * math.log(2.0), known)
+    lags = [float(np.interp(at, x, gain)) for at in _crossings(x, phase + np.pi, sure_open)]
+    bands = _crossings(x, np.log(np.abs(closed)) + 0.5 * math.log(2.0), sure)
     decibel = 20.0 / math.log(10.0)
     return (
         None if crossover is None else math.exp(crossover),
         None if margin is None else math.degrees(margin),
         -decibel * max(lags) if lags else None,
-        math.exp(bands[-1]) if bands else None,
-        decibel * float(np.max(np.log(np.abs(closed[known])))) if known.any() else None,
+        math.exp(bands[0]) if len(bands) == 1 else None,
+        decibel * float(np.max(np.log(np.abs(closed[sure])))) if sure.any() else None,
     )
 
 
+def _longest(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Only the longest row of neighbours that are known: beyond a gap a curve may have gone through anything."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
+    rows = edges.reshape(-1, 2)
+    kept = np.zeros(len(known), dtype=bool)
+    if len(rows):
+        first, end = rows[int(np.argmax(rows[:, 1] - rows[:, 0]))]
+        kept[first:end] = True
+    return kept
+
+
 def _crossings(x: Floats, y: Floats, known: NDArray[np.bool_]) -> list[float]:
-    """Where `y` goes through 0, on straight lines between neighbours that are known."""
+    """Where `y` goes through 0, on straight lines between neighbours that are known, ascending."""
     at = np.flatnonzero(((y[:-1] >= 0.0) != (y[1:] >= 0.0)) & known[:-1] & known[1:])
     return [float(x[k] + (x[k + 1] - x[k]) * y[k] / (y[k] - y[k + 1])) for k in at]
