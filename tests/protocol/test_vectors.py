@@ -185,7 +185,7 @@ def test_sequences(case: dict, make: Callable[..., tuple]) -> None:
     assert not app.outputs_on
 
 
-@pytest.mark.parametrize("make", [small_link])
+@pytest.mark.parametrize("make", [small_link, pytest.param(small_link_in_c, marks=needs("C compiler"))])
 @each("captures")
 def test_captures(case: dict, batches: Callable[[Sequence], list], make: Callable[..., tuple]) -> None:
     link, session, app = make(features=Feature.EDGES | Feature.CAPTURE)
