@@ -79,7 +79,7 @@ class DeviceApp(Protocol):
         """Return the value that the parameter had out of the box."""
 
     def set_param(self, name: str, value: float) -> None:
-        """Use a parameter's new value (a float32 within its range)."""
+        """Use a parameter's new value, a float32 within its range; at the end of RUNNING a VOLATILE one's default."""
 
     def commit(self) -> None:
         """Store all parameters for the next boot; refuse with NOT_SUPPORTED or STORE_FAILED."""
