@@ -344,11 +344,11 @@ class CaptureStatus(Request, type=MessageType.CAPTURE_STATUS):
 
 
 class CaptureReply(_WithChannels, Message, type=MessageType.CAPTURE_STATUS, layout="BBHHHIIIIIIIIIIQIIH"):
-    """Where the capture is. All but `state`, `trigger` and `number` describe blob 1, once it is FROZEN.
+    """Where the capture is, what was armed, and what blob 1 is, which is all 0 until the capture is FROZEN.
 
-    `before`, `after`: as armed; `first`: records of blob 1 before the trigger's; `records`, `edges`: how many it has;
-    `edges_lost`: edges of its time that found no room; `first_edge`: number of its first edge since boot; `size`,
-    `crc`: of blob 1; `room`: bytes of memory; `index`, `tick`: of the trigger's record; `faults`: at the trigger.
+    Of blob 1: `first`: records before the trigger's; `records`, `edges`: how many it has; `edges_lost`: edges of its
+    time that found no room; `first_edge`: number of its first edge since boot; `size`, `crc`; `index`, `tick`: of the
+    trigger's record; `faults`: at the trigger. `room`: bytes of memory for captures.
     """
 
     state: CaptureState
