@@ -85,7 +85,7 @@ class SmallDrive:
         self.commits += 1
 
 
-FEATURES = Feature((1 << 8) - 1)
+FEATURES = ~Feature(0)
 """Of all versions."""
 
 
