@@ -146,7 +146,25 @@ class BlobRead(Request, type=MessageType.BLOB_READ, layout="BxHI"):
     offset: int
 
 
-class BlobReply(Message, type=MessageType.BLOB_READ, layout="BxHII"):
+class _WithData(Payload):
+    """A payload that ends with bytes of a blob; its field `length` is their number."""
+
+    def pack(self) -> bytes:
+        """Return the payload."""
+        *values, data = astuple(self)
+        return self._pack_fixed(values) + bytes(data)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Return the message; PayloadError if `length` bytes are not there."""
+        values = cls._unpack_fixed(payload)
+        data = payload[cls.FIXED_BYTES :]
+        if len(data) != values["length"]:
+            raise PayloadError(f"{cls.__name__} with {len(data)} bytes, says {values['length']}", bad_length=True)
+        return cls(**{**values, "data": data})
+
+
+class BlobReply(_WithData, Message, type=MessageType.BLOB_READ, layout="BxHII"):
     """A part of a blob whose whole length is `total`; it may be shorter than what was asked for."""
 
     id: int
@@ -155,40 +173,14 @@ class BlobReply(Message, type=MessageType.BLOB_READ, layout="BxHII"):
     total: int
     data: bytes
 
-    def pack(self) -> bytes:
-        """Return the payload."""
-        return self._pack_fixed([self.id, self.length, self.offset, self.total]) + self.data
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self:
-        """Return the message; PayloadError if `length` bytes are not there."""
-        values = cls._unpack_fixed(payload)
-        data = payload[cls.FIXED_BYTES :]
-        if len(data) != values["length"]:
-            raise PayloadError(f"BlobReply with {len(data)} bytes, says {values['length']}", bad_length=True)
-        return cls(**values, data=data)
-
-
-class BlobWrite(Request, type=MessageType.BLOB_WRITE, layout="BxHI"):
+class BlobWrite(_WithData, Request, type=MessageType.BLOB_WRITE, layout="BxHI"):
     """Writes bytes of a blob that can be written, from `offset` on; blob 4 is the waveform of the test signal."""
 
     id: int
     length: int
     offset: int
     data: bytes = b""
-
-    def pack(self) -> bytes:
-        """Return the payload."""
-        return self._pack_fixed([self.id, self.length, self.offset]) + self.data
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self:
-        """Return the message; PayloadError if `length` bytes are not there."""
-        values = cls._unpack_fixed(payload)
-        data = payload[cls.FIXED_BYTES :]
-        if len(data) != values["length"]:
-            raise PayloadError(f"BlobWrite with {len(data)} bytes, says {values['length']}", bad_length=True)
-        return cls(**values, data=data)
 
 
 class ParamGet(Request, type=MessageType.PARAM_GET, layout="H2x"):
@@ -352,11 +344,11 @@ class CaptureStatus(Request, type=MessageType.CAPTURE_STATUS):
 
 
 class CaptureReply(_WithChannels, Message, type=MessageType.CAPTURE_STATUS, layout="BBHHHIIIIIIIIIIQIIH"):
-    """Where the capture is. All but `state`, `trigger` and `number` describe blob 1, once it is FROZEN.
+    """Where the capture is, what was armed, and what blob 1 is, which is all 0 until the capture is FROZEN.
 
-    `before`, `after`: as armed; `first`: records of blob 1 before the trigger's; `records`, `edges`: how many it has;
-    `edges_lost`: edges of its time that found no room; `first_edge`: number of its first edge since boot; `size`,
-    `crc`: of blob 1; `room`: bytes of memory; `index`, `tick`: of the trigger's record; `faults`: at the trigger.
+    Of blob 1: `first`: records before the trigger's; `records`, `edges`: how many it has; `edges_lost`: edges of its
+    time that found no room; `first_edge`: number of its first edge since boot; `size`, `crc`; `index`, `tick`: of the
+    trigger's record; `faults`: at the trigger. `room`: bytes of memory for captures.
     """
 
     state: CaptureState

@@ -68,7 +68,7 @@ uint32_t hbp_get32(const uint8_t *from)
 
 #endif
 
-uint8_t *hbp_put64(uint8_t *to, uint64_t value)
+static uint8_t *put64(uint8_t *to, uint64_t value)
 {
     return hbp_put32(hbp_put32(to, (uint32_t)value), (uint32_t)(value >> 32));
 }
@@ -190,7 +190,7 @@ static int send(struct hbp *h, enum hbp_rank rank, uint8_t type, size_t n)
 
 void hbp_event(struct hbp *h, uint32_t code, float arg, float detail)
 {
-    uint8_t *to = hbp_put64(h->link->work, h->now);
+    uint8_t *to = put64(h->link->work, h->now);
     to = hbp_put16(to, code);
     *to++ = h->config->node;
     *to++ = 0;
@@ -446,7 +446,7 @@ static uint16_t hello(struct hbp *h, const uint8_t *in, size_t *n, float *detail
 static uint16_t time_sync(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     (void)in, (void)detail;
-    return finish(h, hbp_put64(hbp_put64(h->link->work, h->now), h->now), n);
+    return finish(h, put64(put64(h->link->work, h->now), h->now), n);
 }
 
 static uint16_t alive(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
@@ -843,7 +843,7 @@ static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t *n, float *d
     to = put_float(to, share);
     *to++ = s->slot;
     memset(to, 0, 3);
-    return finish(h, hbp_put64(to + 3, h->config->tick0), n);
+    return finish(h, put64(to + 3, h->config->tick0), n);
 }
 
 static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
@@ -862,7 +862,7 @@ static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t *n, float *d
     *to++ = s->slot;
     to = hbp_put16(hbp_put16(hbp_put16(to, s->decimation), s->latency_ms), s->cfg_id);
     to = hbp_put16(hbp_put16(hbp_put16(to, s->record_bytes), s->block), 0);
-    to = hbp_put16(hbp_put64(to, h->config->tick0), channels);
+    to = hbp_put16(put64(to, h->config->tick0), channels);
     for (unsigned k = 0; k < channels; k++) to = hbp_put16(to, h->config->channels[s->take[k]].id);
     return finish(h, to, n);
 }
@@ -1166,7 +1166,7 @@ uint32_t hbp_dropped(const struct hbp *h)
 static void heartbeat(struct hbp *h)
 {
     uint32_t period = h->config->tick_hz / 10u, since;
-    uint8_t *to = hbp_put64(h->link->work, h->now);
+    uint8_t *to = put64(h->link->work, h->now);
     if (h->now < h->next_heartbeat || h->link->way->beats(h)) return;
     to = hbp_put32(hbp_put32(hbp_put32(to, h->boot_id), h->faults), h->first_fault);
     to = hbp_put32(hbp_put32(to, hbp_dropped(h)), h->link->bad);

@@ -1,8 +1,8 @@
 /* hbp.h: the device side of HBP 1.1, the Hall Bench Protocol (protocol/SPEC.md), in C99. This comment is the manual.
  *
- * WHAT.  Copy hbp.h, hbp_way.h, hbp.c and hbp_capture.c into a firmware (and hbp_can.h, hbp_can.c for CAN), and a motor drive answers `bench`: identity,
- * parameters, states and watchdog, samples at the PWM rate, timestamped Hall edges, events. No heap, no operating
- * system, no library but memcpy, memset, memcmp. Proved by `bench conform`.
+ * WHAT.  Copy hbp.h, hbp_way.h, hbp.c and hbp_capture.c into a firmware (and hbp_can.h, hbp_can.c for CAN), and a motor drive answers
+ * `bench`: identity, parameters, states and watchdog, samples at the PWM rate, timestamped Hall edges, events, captures. No heap, no
+ * operating system, no library but memcpy, memset, memcmp. Proved by `bench conform`.
  *
  * MEMORY.  The caller owns all of it: one `struct hbp_link` for each serial port, USB or TCP connection, one `struct hbp` for each
  * device behind it (one, as a rule). Their size follows from the options below; `docs/firmware.md` has figures.
@@ -98,7 +98,8 @@
  *
  * TIME OF THE INTERRUPTS.  hbp_tick copies the chosen channels of each running stream: on a Cortex-M4, compiled for size, 50 instructions, 45
  * for each running stream of samples and 17 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 54,
- * hbp_may_run 17 and hbp_raise 22. While a capture waits, 40 more, and the copying of its record; hbp_edge then takes 102. CRC and COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
+ * hbp_may_run 17 and hbp_raise 22. While a capture waits hbp_tick takes 40 more, and the copying of its record, and hbp_edge 102. CRC and
+ * COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
  *
  * WHAT IS LOST IS COUNTED.  Samples wait in blocks, one being filled by the interrupt, until the transmit queue has room. A block that
  * finds no free place is dropped whole, and counted: `tx_dropped`, the gap in `seq`, OVERRUN.

@@ -79,7 +79,7 @@ class DeviceApp(Protocol):
         """Return the value that the parameter had out of the box."""
 
     def set_param(self, name: str, value: float) -> None:
-        """Use a parameter's new value (a float32 within its range)."""
+        """Use a parameter's new value, a float32 within its range; at the end of RUNNING a VOLATILE one's default."""
 
     def commit(self) -> None:
         """Store all parameters for the next boot; refuse with NOT_SUPPORTED or STORE_FAILED."""
@@ -99,3 +99,14 @@ class Extras(NamedTuple):
     def of(cls, app: DeviceApp) -> Extras:
         """Return what an app has of them."""
         return cls(**{name: getattr(app, name) for name in cls._fields if hasattr(app, name)})
+
+    def features(self, identity: Identity) -> Feature:
+        """Return those of the identity's features for which there is what they need."""
+        lacking = Feature(0)
+        if not identity.capture_bytes:
+            lacking |= Feature.CAPTURE
+        if not self.meanings:
+            lacking |= Feature.MEANINGS
+        if self.waveform is None:
+            lacking |= Feature.WAVEFORM
+        return identity.features & ~lacking

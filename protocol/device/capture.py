@@ -20,6 +20,7 @@ from protocol.device.triggers import BY_CHANNEL, BY_EDGE, ChannelTrigger, EdgeTr
 from protocol.errors import Refused
 from protocol.messages import CaptureArm, CaptureReply, CaptureState, CaptureTrigger, ErrorCode, Fault, Feature
 from protocol.signals import Flag, Signal
+from protocol.streams import TickReference
 
 UNASKED_SECONDS = 0.25  # that a capture which waits for a fault by itself holds at most
 UNASKED_AFTER = 5  # of its records one in so many is taken after the fault
@@ -70,15 +71,16 @@ class Capture:
 
     # -- what a host asks -------------------------------------------------------------------------------------------
 
-    def arm(self, request: CaptureArm) -> None:
-        """Carry out CAPTURE_ARM; Refused, nothing changed, if it cannot be done."""
-        if request.trigger not in CaptureTrigger._value2member_map_:
+    def arm(self, request: CaptureArm, tx_max: int) -> CaptureReply:
+        """Carry out CAPTURE_ARM and describe the new capture; Refused, nothing changed, if it cannot be done."""
+        if request.trigger not in list(CaptureTrigger):
             raise Refused(f"no trigger {request.trigger}", ErrorCode.BAD_VALUE, request.trigger)
         if request.trigger == CaptureTrigger.OFF:
             self._begin(self._unasked)
         else:
             self._check(request)
             self._begin(request)
+        return self.describe(tx_max)
 
     def describe(self, tx_max: int) -> CaptureReply:
         """Return where the capture is, with as many ids as fit."""
@@ -167,9 +169,9 @@ class Capture:
         self._edges = number + len(records)
         if not self._ring or not len(records):
             return
-        self._ring.push_edges(records, tick)
+        ticks = TickReference(tick).unwrap(records["tick"])
+        self._ring.push_edges(records, ticks)
         if self._by_edge and self.state is CaptureState.ARMED:
-            ticks = tick + (records["tick"] - np.uint32(tick & 0xFFFFFFFF)).view(np.int32).astype(np.int64)
             found = self._by_edge.find(ticks, records["codes"])
             if found is not None:
                 self._triggered(self._ring.period_from(found))

@@ -127,8 +127,6 @@ class _ByteStream(Stream):
         `start` and `step` are index and tick of the record `first`, and their increments from record to
         record.
         """
-        size, end = self._record_bytes, first + n
-        index, tick = start
         size, end, together = self._record_bytes, first + n, TOGETHER
         index, tick = start
         while first < end:

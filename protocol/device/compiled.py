@@ -156,14 +156,15 @@ class CompiledSession:
     nodes = 1
 
     def __init__(self, lib: ctypes.CDLL, app: DeviceApp, identity: Identity) -> None:
-        self.app, self.identity = app, replace(identity, features=identity.features & FEATURES)
+        extras = Extras.of(app)
+        self.app, self.identity = app, replace(identity, features=extras.features(identity) & FEATURES)
         self.raised: BaseException | None = None
         self._lib = lib
         self._dtype = sample_dtype(app.channels)
         self._memory = ctypes.create_string_buffer(lib.shim_device_bytes())
         self._edges: list[NDArray[np.void]] = []  # that come before samples which have not been pushed yet
         self.at = ctypes.addressof(self._memory)
-        self.config = ctypes.byref(self._make_config())
+        self.config = ctypes.byref(self._make_config(extras))
         """A pointer to the app as C sees it, for `hbp_add`."""
         self.streams = self.machine = self
         """See `DeviceSession.streams` and `machine`: it is all here."""
@@ -252,8 +253,8 @@ class CompiledSession:
 
     # -- the app as C sees it ---------------------------------------------------------------------------------------
 
-    def _make_config(self) -> Any:
-        app, identity, extras = self.app, self.identity, Extras.of(self.app)
+    def _make_config(self, extras: Extras) -> Any:
+        app, identity = self.app, self.identity
         offsets: dict[str, Any] = dict(self._dtype.fields or {})
         channels = [
             (s.id, s.raw, s.unit, s.flags, offsets[s.name][1], s.scale, s.offset, s.name.encode()) for s in app.channels
@@ -269,12 +270,12 @@ class CompiledSession:
         ids = [by_name[name] for name in extras.fault_channels]
         self._fault_channels = (ctypes.c_uint16 * len(ids))(*ids)
         given: dict[str, Any] = {}
-        if identity.features & Feature.CAPTURE and identity.capture_bytes:
+        if identity.features & Feature.CAPTURE:
             self._capture = ctypes.create_string_buffer(identity.capture_bytes)
             given = {"capture": ctypes.addressof(self._capture), "capture_bytes": identity.capture_bytes}
         if ids:
             given["fault_channels"] = ctypes.addressof(self._fault_channels)
-        if identity.features & Feature.MEANINGS and extras.meanings:
+        if identity.features & Feature.MEANINGS:
             given["meanings"] = meanings_blob(extras.meanings, {*by_name, *names})
         if identity.features & Feature.WAVEFORM and extras.waveform is not None:
             given["waveform"] = extras.waveform.ctypes.data

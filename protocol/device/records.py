@@ -34,7 +34,7 @@ class LateSamples:
     def __init__(self, n: int, make: Callable[[frozenset[str]], NDArray[np.void]]) -> None:
         self._n = n
         self._make = make
-        self._names: frozenset[str] | None = None
+        self._names: frozenset[str] = frozenset()  # that are right in what has been made
         self._made: NDArray[np.void] | None = None
 
     def __len__(self) -> int:
@@ -42,14 +42,13 @@ class LateSamples:
 
     def made(self, names: frozenset[str]) -> NDArray[np.void]:
         """Return samples in which the channels of these names are right."""
-        if self._made is None or self._names is None or not names <= self._names:
+        if self._made is None or not names <= self._names:
             self._names, self._made = names, self._make(names)
         return self._made
 
     def kept(self, names: frozenset[str]) -> Samples:
         """Return what is best kept by somebody who may need these names later: themselves, once they are made."""
-        made = self._names is not None and names <= self._names and self._made is not None
-        return self._made if made else self  # type: ignore[return-value]
+        return self if self._made is None or not names <= self._names else self._made
 
 
 Samples = NDArray[np.void] | LateSamples
@@ -167,7 +166,7 @@ class Means:
             firsts[0] = each.first
         each.first = firsts[-1]
         if each.channel.unit is Unit.NONE:
-            return values[begins[1:] - 1 if complete < len(begins) else np.append(begins[1:], len(values)) - 1]
+            return values.take(np.append(begins[1:], len(values))[:complete] - 1)
         if each.span:
             values = values - np.repeat(firsts, np.diff(begins, append=len(values)))
             values = np.mod(values + each.span / 2, each.span) - each.span / 2

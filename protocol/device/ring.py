@@ -116,9 +116,9 @@ class Ring:
         """Return the index of the first period that is not before a tick."""
         return max(0, -((self._origin - tick) // self._period))
 
-    def push_edges(self, records: NDArray[np.void], tick: int) -> None:
-        """Take edges in order of time, EDGE_RECORDs; `tick` is near theirs."""
-        self._edges.push(records, tick)
+    def push_edges(self, records: NDArray[np.void], ticks: NDArray[np.int64]) -> None:
+        """Take edges in order of time, EDGE_RECORDs, and their 64-bit ticks."""
+        self._edges.push(records, ticks)
 
     def push(self, index0: int, tick0: int, samples: Samples) -> None:
         """Take consecutive periods."""
@@ -145,7 +145,7 @@ class Ring:
     def freeze(self) -> Blob:
         """Make blob 1 of what there is around the trigger's record."""
         assert self._at is not None
-        size, begin = self._size, self._oldest
+        size = self._size
         begin, end = max(self._oldest, self._at - size.before), min(self._high, self._at + size.after)
         self._pack()
         parts = [rows[max(0, begin - first) : end - first].tobytes() for first, rows in self._packed if first < end]
@@ -196,26 +196,26 @@ class _Edges:
     def __init__(self, room: int, seen: int) -> None:
         self._room = room
         self._before = seen  # edges since boot before those that are held
-        self._held: deque[tuple[int, int, NDArray[np.void]]] = deque()  # tick of the last, one near them, edges
+        self._held: deque[tuple[NDArray[np.int64], NDArray[np.void]]] = deque()  # ticks and edges, as they came
         self._n = 0
         self._crowded_out = (-1, 0)  # tick of the last that was given up for lack of room, and how many were
 
-    def push(self, records: NDArray[np.void], tick: int) -> None:
-        """Take edges in order of time; `tick` is near theirs."""
-        self._held.append((tick + _signed(int(records["tick"][-1]) - tick), tick, records))
+    def push(self, records: NDArray[np.void], ticks: NDArray[np.int64]) -> None:
+        """Take edges in order of time, and their ticks."""
+        self._held.append((ticks, records))
         self._n += len(records)
         while self._n > self._room + MOST_EDGES and len(self._held) > 1:
-            self._crowded_out = self._held[0][0], self._crowded_out[1] + self._drop()
+            self._crowded_out = int(self._held[0][0][-1]), self._crowded_out[1] + self._drop()
 
     def forget(self, tick: int) -> None:
         """Give up edges before a tick."""
-        while self._held and self._held[0][0] < tick:
+        while self._held and self._held[0][0][-1] < tick:
             self._drop()
         if self._crowded_out[0] < tick:
             self._crowded_out = -1, 0
 
     def _drop(self) -> int:
-        gone = len(self._held.popleft()[2])
+        gone = len(self._held.popleft()[1])
         self._n -= gone
         self._before += gone
         return gone
@@ -226,15 +226,8 @@ class _Edges:
         lost = lost if last_lost >= first else 0
         if not self._held:
             return b"", 0, lost
-        records = np.concatenate([each for _, _, each in self._held])
-        near = np.repeat([tick for _, tick, _ in self._held], [len(each) for _, _, each in self._held])
-        ticks = near + (records["tick"] - near.astype(np.uint32)).view(np.int32)
+        ticks, records = (np.concatenate(each) for each in zip(*self._held, strict=True))
         begin, end = np.searchsorted(ticks, first, "left"), np.searchsorted(ticks, last, "right")
         kept = min(self._room, int(end - begin))
         number = self._before + int(end) - kept if kept else 0
         return records[end - kept : end].tobytes(), number, lost + int(end - begin) - kept
-
-
-def _signed(value: int) -> int:
-    """Return the low 32 bits of a number as one with a sign."""
-    return (value + (1 << 31) & 0xFFFFFFFF) - (1 << 31)

@@ -35,7 +35,6 @@ from protocol.messages import (
     BlobRead,
     BlobWrite,
     CaptureArm,
-    CaptureReply,
     CaptureStatus,
     Command,
     DeviceEvent,
@@ -96,7 +95,7 @@ class DeviceSession:
                 raise ValueError(f"control characters in {text!r}")
         self.app = app
         extras = Extras.of(app)
-        self.identity = identity = replace(identity, features=_had(identity, extras))
+        self.identity = identity = replace(identity, features=extras.features(identity))
         self.nodes = 1  # on the link
         self.tx = carrier.tx
         self.descriptor = Descriptor.of(app.channels, app.parameters)
@@ -134,8 +133,9 @@ class DeviceSession:
             StreamStop: lambda asked: self.streams.stop(asked.mask),
             StreamGet: lambda asked: self.streams.describe(asked.stream, self._peer.tx_max),
         }
-        if self.capture:
-            self._handlers |= {CaptureArm: self._capture_arm, CaptureStatus: self._capture_status}
+        if capture := self.capture:
+            self._handlers[CaptureArm] = lambda asked: capture.arm(asked, self._peer.tx_max)
+            self._handlers[CaptureStatus] = lambda _: capture.describe(self._peer.tx_max)
         if identity.features & Feature.WAVEFORM:
             self._handlers[BlobWrite] = self._blobs.write
 
@@ -286,8 +286,7 @@ class DeviceSession:
             names = {each.name for each in (*self.descriptor.channels, *self.descriptor.parameters)}
             meanings = meanings_blob(extras.meanings, names)
         waveform = extras.waveform if features & Feature.WAVEFORM else None
-        testing = lambda: self.parameters.testing  # noqa: E731
-        return Blobs(self.descriptor.pack(), self.capture, meanings, waveform, testing)
+        return Blobs(self.descriptor.pack(), self.capture, meanings, waveform, lambda: self.parameters.testing)
 
     def _send(self, message: Message) -> None:
         self.tx.put_event(self._encode(Frame(message.TYPE, MAJOR, 0, self.identity.node, message.pack())))
@@ -325,31 +324,10 @@ class DeviceSession:
         self.setpoints_rejected += 1
         self.event(EventCode.SETPOINT_REJECTED, float(code), detail)
 
-    def _capture_arm(self, request: CaptureArm) -> CaptureReply:
-        assert self.capture
-        self.capture.arm(request)
-        return self.capture.describe(self._peer.tx_max)
-
-    def _capture_status(self, request: CaptureStatus) -> CaptureReply:
-        assert self.capture
-        return self.capture.describe(self._peer.tx_max)
-
     def _param_commit(self, request: ParamCommit) -> None:
         if self.app.outputs_on:
             raise Refused("outputs are on", ErrorCode.WRONG_STATE, self.state)
         self.app.commit()
-
-
-def _had(identity: Identity, extras: Extras) -> Feature:
-    """Return those of the features for which there is what they need."""
-    lacking = Feature(0)
-    if not identity.capture_bytes:
-        lacking |= Feature.CAPTURE
-    if not extras.meanings:
-        lacking |= Feature.MEANINGS
-    if extras.waveform is None:
-        lacking |= Feature.WAVEFORM
-    return identity.features & ~lacking
 
 
 def _always_executed(frame: Frame) -> bool:

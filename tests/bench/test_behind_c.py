@@ -16,7 +16,6 @@ from protocol.device.compiled import CompiledLink
 from protocol.device.session import DeviceLink
 from protocol.framing import MAJOR, Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import (
-    BlobRead,
     BlobReply,
     CaptureReply,
     CaptureState,
@@ -32,6 +31,7 @@ from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import ByteNetwork, CanNetwork, Network
 from sim.ports.virtual import VirtualLink
+from tests.protocol.small_drive import whole_blob
 from tests.tools import needs
 
 NAMES = ("hall", "theta_enc", "theta_vt", "i_q")
@@ -91,10 +91,7 @@ def held_after_a_trip(link: DeviceLink | CompiledLink) -> tuple[CaptureReply, by
 
     ask(StateCommand(Command.ARM, boot))
     device.advance(8000)
-    status, data = CaptureReply.unpack(ask(CaptureStatus())), b""
-    while len(data) < status.size:
-        data += BlobReply.unpack(ask(BlobRead(1, 1000, len(data)))).data
-    return status, data
+    return CaptureReply.unpack(ask(CaptureStatus())), whole_blob(lambda request: BlobReply.unpack(ask(request)))
 
 
 @needs("C compiler")

@@ -46,7 +46,7 @@ from protocol.signals import Flag, Parameter, RawType, Signal, Unit
 from sim.ports.can_bus import SimulatedBus
 from tests.choice import examples
 from tests.devices.virtual import VirtualLink
-from tests.protocol.small_drive import TICKS, SmallDrive, identity
+from tests.protocol.small_drive import TICKS, SmallDrive, identity, whole_blob
 from tests.tools import needs
 
 pytestmark = needs("C compiler")
@@ -142,9 +142,7 @@ def test_bench_reads_all_that_a_small_device_holds(rates: BusRates, options: str
     client.run_for(0.1)
     held = client.request(CaptureStatus(), 1, CaptureReply)
     assert (held.state, held.records, held.channels) == (CaptureState.FROZEN, HELD, now.channels)
-    data = b""
-    while len(data) < held.size:
-        data += client.request(BlobRead(1, 512, len(data)), 1, BlobReply).data
+    data = whole_blob(lambda request: client.request(request, 1, BlobReply), 512)
     assert crc32(data) == held.crc
     assert data == rows(held.index - held.first, HELD).tobytes()
     assert client.session.counters.retries == 0

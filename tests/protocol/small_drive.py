@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from types import MappingProxyType
@@ -12,7 +13,7 @@ from protocol.device.compiled import CompiledLink, CompiledSession
 from protocol.device.session import DeviceLink, DeviceSession, Identity, TxQueue
 from protocol.errors import Refused
 from protocol.framing import MAJOR, Deframer, Frame, encode_frame, parse_frame
-from protocol.messages import DriveState, ErrorCode, Fault, Feature, Request, Role, SetpointMode
+from protocol.messages import BlobRead, BlobReply, DriveState, ErrorCode, Fault, Feature, Request, Role, SetpointMode
 from protocol.signals import Flag, Parameter, RawType, Signal, Unit
 from protocol.streams import EDGE_ILLEGAL, EDGE_RECORD
 from tests.devices import FULL
@@ -84,7 +85,7 @@ class SmallDrive:
         self.commits += 1
 
 
-FEATURES = Feature((1 << 8) - 1)
+FEATURES = ~Feature(0)
 """Of all versions."""
 
 
@@ -178,6 +179,15 @@ def small_link_alone(features: Feature = SMALL.features) -> tuple[AloneLink, Alo
 
 def wire_of(message: Request, tid: int = 0, node: int = 1) -> bytes:
     return encode_frame(Frame(message.TYPE, MAJOR, tid, node, message.pack()))
+
+
+def whole_blob(read: Callable[[BlobRead], BlobReply], part: int = 1000, number: int = 1) -> bytes:
+    """A blob, read in parts."""
+    data, total = b"", 1
+    while len(data) < total:
+        reply = read(BlobRead(number, part, len(data)))
+        data, total = data + reply.data, reply.total
+    return data
 
 
 def frames_in(data: bytes) -> list[Frame]:

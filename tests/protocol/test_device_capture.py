@@ -11,7 +11,7 @@ import pytest
 from capture_model import Asked, Course, Edge, Kind
 from hypothesis import given
 from hypothesis import strategies as st
-from small_drive import SmallDrive, edges_at, frames_in, identity, small_link, wire_of
+from small_drive import SmallDrive, edges_at, frames_in, identity, small_link, whole_blob, wire_of
 
 from protocol.descriptor import sample_dtype
 from protocol.device.records import LateSamples
@@ -90,13 +90,7 @@ class Device:
 
     def blob(self, part: int = 1000) -> bytes:
         """Blob 1, read in parts."""
-        data, total = b"", 1
-        while len(data) < total:
-            reply = BlobReply.unpack(self.ask(BlobRead(1, part, len(data))))
-            data, total = data + reply.data, reply.total
-            if not total:
-                break
-        return data
+        return whole_blob(lambda request: BlobReply.unpack(self.ask(request)), part)
 
 
 def raw_of(rows: Sequence[Sequence[float]]) -> np.ndarray:

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable
 
 import pytest
-from small_drive import DEFAULTS, SmallDrive, frames_in, identity, small_link, wire_of
+from small_drive import DEFAULTS, FEATURES, SmallDrive, frames_in, identity, small_link, wire_of
 
 from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
@@ -254,8 +254,8 @@ def test_the_waveform_is_the_apps_memory_and_is_left_alone_while_a_test_signal_i
 
 
 def test_meanings_are_lines_and_features_are_those_that_there_is_something_for() -> None:
-    wire = commissioned(features=Feature((1 << 8) - 1), capture_bytes=0)
-    assert wire.ask(Hello(1)).features == Feature((1 << 8) - 1) & ~Feature.CAPTURE
+    wire = commissioned(features=FEATURES, capture_bytes=0)
+    assert wire.ask(Hello(1)).features == FEATURES & ~Feature.CAPTURE
     blob = wire.ask(BlobRead(3, 1000, 0)).data
     assert blob == "theta angle, ±π\ngain of everything\n".encode()
 

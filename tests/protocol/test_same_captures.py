@@ -12,7 +12,18 @@ from zlib import crc32
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from small_drive import CHANNELS, DEFAULTS, PARAMETERS, SmallDrive, frames_in, identity, pack_edges, samples, wire_of
+from small_drive import (
+    CHANNELS,
+    DEFAULTS,
+    PARAMETERS,
+    SmallDrive,
+    frames_in,
+    identity,
+    pack_edges,
+    samples,
+    whole_blob,
+    wire_of,
+)
 
 from protocol.device.compiled import CompiledLink
 from protocol.device.session import DeviceLink, TxQueue
@@ -220,10 +231,7 @@ class Pair:
 
     def blob(self) -> bytes:
         """Blob 1, read in parts."""
-        data = b""
-        while len(data) < self.status().size:
-            data += BlobReply.unpack(self.ask(BlobRead(1, 1000, len(data))).payload).data
-        return data
+        return whole_blob(lambda request: BlobReply.unpack(self.ask(request).payload))
 
 
 def edges_lost(frame: Frame) -> int:

@@ -24,7 +24,7 @@ uint32_t shim_can_add(struct hbp_can *can, struct hbp *device, const struct hbp_
 /* An edge as a record of EDGES. */
 static void give_edge(struct hbp *h, const uint8_t *r)
 {
-    hbp_edge(h, hbp_get32(r), r[4] & 7u, r[4] >> 3 & 7u, (uint16_t)(r[6] | r[7] << 8));
+    hbp_edge(h, hbp_get32(r), r[4] & 7u, r[4] >> 3 & 7u, hbp_get16(r + 6));
 }
 
 /* `n` samples from PWM period `index` on, `stride` bytes from one to the next, and edges, records of EDGES, each before the first sample

@@ -203,6 +203,31 @@ static inline uint32_t crc32(const uint8_t *data, size_t n)
     return ~crc;
 }
 
+/* What blob 1 must hold, by what the reply to CAPTURE_STATUS says: the values of its records, edges in order, and the CRC of all.
+ * `edge_ticks`: of the newest `kept` of the `edges` that there have been, each at its number modulo `kept`. */
+static inline void check_blob(const uint8_t *reply, const uint8_t *blob, const uint32_t *edge_ticks, uint32_t kept, uint32_t edges)
+{
+    uint32_t step = get(reply + 4, 2), bytes = get(reply + 6, 2), first = get(reply + 16, 4), records = get(reply + 20, 4);
+    uint32_t held = get(reply + 24, 4), number = get(reply + 32, 4), size = get(reply + 36, 4), ids = get(reply + 64, 2);
+    uint32_t index = get(reply + 56, 4) - first * step, last = index + (records - 1u) * step, sum = 0;
+    const uint8_t *at = blob;
+    for (uint32_t c = 0; c < ids; c++) sum += channel_bytes(get(reply + 66 + 2 * c, 2));
+    REQUIRE(bytes == sum && size == records * bytes + 8u * held);
+    REQUIRE(first <= get(reply + 8, 4) && records == first + get(reply + 12, 4));
+    REQUIRE(get(reply + 48, 4) == get(reply + 56, 4) * TICKS && get(reply + 40, 4) == crc32(blob, size));
+    for (uint32_t k = 0; k < records; k++)
+        for (uint32_t c = 0; c < ids; c++) {
+            uint16_t id = (uint16_t)get(reply + 66 + 2 * c, 2);
+            REQUIRE(get(at, channel_bytes(id)) == value_at(id, index + k * step));
+            at += channel_bytes(id);
+        }
+    for (uint32_t k = 0; k < held; k++, number++, at += 8) {
+        uint32_t tick = get(at, 4);
+        REQUIRE((int32_t)(tick - index * TICKS) >= 0 && (int32_t)(last * TICKS - tick) >= 0);
+        REQUIRE(edges - number >= kept || tick == edge_ticks[number % kept]);
+    }
+}
+
 /* Header, payload and CRC of a frame, at `to`; its length. */
 static inline size_t make_body(uint8_t *to, uint8_t type, uint8_t flags, uint16_t tid, uint8_t node, const uint8_t *payload, size_t n)
 {

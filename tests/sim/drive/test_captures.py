@@ -26,6 +26,7 @@ from protocol.streams import EDGE_RECORD
 from sim.config.params import BenchParams, load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
+from tests.protocol.small_drive import whole_blob
 
 
 def host_of(step: float = 0.002, params: BenchParams | None = None) -> SmallHost:
@@ -40,11 +41,7 @@ def ask(host: SmallHost, message: CaptureArm | CaptureStatus) -> CaptureReply:
 
 def read(host: SmallHost, told: CaptureReply) -> tuple[np.ndarray, np.ndarray]:
     """Records and edges of what is held."""
-    data = b""
-    while len(data) < told.size:
-        reply = host.request(BlobRead(1, 1000, len(data)))
-        assert isinstance(reply, BlobReply)
-        data += reply.data
+    data = whole_blob(host.request)
     by_id = {channel.id: channel for channel in host.nodes[1].descriptor.channels}
     records = told.records * told.sample_bytes
     dtype = sample_dtype([by_id[number] for number in told.channels])
