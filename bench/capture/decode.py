@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -55,13 +56,17 @@ class Captured:
         gaps = (Gap(0, status.edges_lost, 0, overrun=True),) if status.edges_lost else ()
         return unpack_edges(config, records, ticks, index, gaps)
 
-    def capture(self, parameters: dict[str, float]) -> Capture:
+    def capture(self, parameters: Mapping[str, float]) -> Capture:
         """The same for measuring, with the drive's `parameters`."""
-        lost = self.status.edges_lost
         first = int(self.samples.tick[0])
         until = int(self.edges.tick[0]) if len(self.edges) else int(self.samples.tick[-1])
-        words = f"{counted(lost, 'Hall edge')} found no room in the drive's memory"
-        return Capture(self.samples, self.edges, parameters, ((first, until, words),) if lost else ())
+        return Capture(self.samples, self.edges, parameters, ((first, until, self.lost),) if self.lost else ())
+
+    @property
+    def lost(self) -> str:
+        """How many Hall edges are missing, and why; empty where all are there."""
+        lost = self.status.edges_lost
+        return f"{counted(lost, 'Hall edge')} found no room in the drive's memory" if lost else ""
 
 
 def streams_of(node: Node, status: CaptureReply, channels: tuple[Channel, ...]) -> tuple[StreamConfig, StreamConfig]:
