@@ -183,7 +183,7 @@ class Rig:
             edges = self.configure(choices, slower=True)
             if held and self.rate < self.drive.node.identity.pwm_hz and self.drive.node.offers_capture:
                 edges = self._hold(choices[-1], full)
-            self.recorder.expect(edges)
+            self.recorder.expect(edges, self.drive.parameters)
             self.record_to(recording or Recording(), [self.recorder])
             self.drive.node.start_streams()
             self.wait(2 * POLL)
@@ -496,7 +496,7 @@ class Rig:
         first, sets = self.tick(), self.recorder.sets
         last = first + round(seconds * self.recorder.tick_hz)
         self.until(lambda: self.recorder.newest >= last or self._silent(first), seconds + LATE)
-        return self.between(first, last, sets)
+        return self.received(first, last, sets)
 
     @contextmanager
     def recording(self, seconds: float | None = None) -> Iterator[Stretch]:
@@ -505,13 +505,13 @@ class Rig:
         `seconds`: how long it will last about, for a drive that has to hold it in its memory; None: 2.5 s at most.
         """
         held = None if self.full_rate is None else self.full_rate.begin(seconds)
-        stretch = Stretch(self, self.tick(), held=held, sets=self.recorder.sets)
+        stretch = Stretch(self, self.tick(), self.recorder.sets, held=held)
         try:
             yield stretch
         finally:
             stretch.last = self.tick() if self.client.health.down_since is None else self.recorder.newest
             if held is not None:
-                held.end(stretch.first, stretch.last, self.drive.parameters)
+                held.end(stretch.first, stretch.last, self.recorder.course(stretch.sets))
         if self.recorder.newest < stretch.last:
             self.until(lambda: self.recorder.newest >= stretch.last, LATE)
 
@@ -574,11 +574,15 @@ class Rig:
         memory.give_up()
         return captured.capture(self.drive.parameters)
 
-    def between(self, first: int, last: int, sets: int | None = None) -> Capture:
-        """What came by the link between two device ticks; `sets`: see `Recorder.capture`. BenchError if nothing did."""
+    def between(self, first: int, last: int) -> Capture:
+        """What came by the link between two device ticks. BenchError if nothing did."""
+        return self.received(first, last)
+
+    def received(self, first: int, last: int, sets: int | None = None) -> Capture:
+        """The same; `sets`: see `Recorder.capture`."""
         if self.recorder.newest < first:
             raise BenchError(f"no DATA for {SILENCE:g} s on {self.client.link.name}")
-        return self.recorder.capture(first, last, {value.name: value.value for value in self.before}, sets)
+        return self.recorder.capture(first, last, sets)
 
     def latest(self, channel: str) -> float:
         """The newest value of a channel, in its unit. BenchError before the first sample, or without that channel."""
@@ -781,13 +785,13 @@ class Stretch:
 
     rig: Rig
     first: int
+    sets: int
+    """How many parameters had been set when it began."""
     last: int = -1
     held: Held | None = None
     """What the drive's memory holds of it, where the link is too slow."""
-    sets: int | None = None
-    """How many parameters had been set when it began."""
 
     @property
     def capture(self) -> Capture:
         """What came in it; read at the first call, where the drive holds it. BenchError if nothing did."""
-        return self.rig.between(self.first, self.last, self.sets) if self.held is None else self.held.read()
+        return self.rig.received(self.first, self.last, self.sets) if self.held is None else self.held.read()
