@@ -132,6 +132,8 @@ def listening(target: str, settings: Settings, screen: Screen) -> Iterator[Captu
     link = open_link(target)
     try:
         client = Client(link, reconnect=PATIENCE)
-        yield Capturing(find_drive(client, target), target, settings, screen)
+        drive = find_drive(client, target)
+        drive.encoder = settings.encoder
+        yield Capturing(drive, target, settings, screen)
     finally:
         link.close()

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import Any, Self
 
@@ -48,7 +47,7 @@ from bench.rig.restore import failures_of
 from bench.rig.runaway import RunawayGuard
 from bench.rig.settings import Settings
 from bench.rig.shots import SHARE, FullRate, Held, Shot
-from bench.rig.streams import configure, edge_rate
+from bench.rig.streams import configure, edge_rate, most_channels
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle, speed_channel
 from bench.signal.chunks import no_edge_stream
@@ -57,15 +56,13 @@ from protocol.descriptor import Channel
 from protocol.errors import HbpError
 from protocol.links import Link
 from protocol.messages import Role
-from protocol.signals import Flag, Signal, Unit
+from protocol.signals import Signal
 from protocol.streams import MAX_DECIMATION, StreamConfig
 
 SILENCE = 2.0  # s without samples after which waiting for more is given up
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 LATE = 1.0  # s that samples of a stretch may come after its end
 FEW = 4  # samples that are waited for, however short a stretch is
-CORE = ("hall", "status", "i_a", "i_d", "i_q")
-"""What is streamed, beside reference and estimates, where a link cannot carry everything."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +176,7 @@ class Rig:
             self.learn()
             if not self.plan.passive:
                 self.load = self._find_load()
-            choices = channels or self._most_channels(needed)
+            choices = channels or most_channels(self.drive.node, needed)
             edges = self.configure(choices, slower=True)
             if held and self.rate < self.drive.node.identity.pwm_hz and self.drive.node.offers_capture:
                 edges = self._hold(choices[-1], full)
@@ -288,18 +285,6 @@ class Rig:
             return NodeLoad(node, self.plan.envelope)
         directory = settings.path.parent if settings.path else Path()
         return self.plan.own_loads.get(kind, directory, self.plan.envelope)
-
-    def _most_channels(self, needed: frozenset[str]) -> list[tuple[Channel, ...]]:
-        """The most channels, and the fewest that a measurement can do with."""
-        known = [c for c in self.drive.node.descriptor.channels if c.name in needed or not c.flags & Flag.TRUTH]
-        wanted = needed.union(CORE)
-        usual = [c for c in known if c.name in wanted or not c.flags & Flag.ON_REQUEST]
-        for unit, flags in product((Unit.RAD, Unit.RAD_PER_S), (Flag.REFERENCE, Flag.REFERENCE | Flag.ESTIMATE)):
-            if not any(c.unit == unit and c.flags & flags for c in usual):  # but on request: then it is asked for
-                usual += [c for c in known if c.unit == unit and c.flags & flags]
-        channels = tuple(c for c in known if c in usual)
-        core = tuple(c for c in channels if c.name in wanted or c.flags & (Flag.REFERENCE | Flag.ESTIMATE))
-        return [channels or self.drive.node.channels(None), core]
 
     def record_to(
         self, recording: Recording, watching: Sequence[Sink], more: Sequence[Channel | Signal] = ()
