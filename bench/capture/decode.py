@@ -72,8 +72,14 @@ class Captured:
 def streams_of(node: Node, status: CaptureReply, channels: tuple[Channel, ...]) -> tuple[StreamConfig, StreamConfig]:
     """The streams that stand for a capture's samples and edges.
 
-    `channels`: of the capture, in its order. NodeError where they do not make the records that the drive tells.
+    `channels`: of the capture, in its order. NodeError where they do not make the records that the drive tells, and
+    where the trigger's is not among these.
     """
+    if not (status.first < status.records and status.after and status.decimation):
+        raise NodeError(
+            f"node {node.number} tells a capture of {status.records} records, one in {status.decimation} periods, "
+            f"{status.first} before its trigger and {status.after} asked for from there on: it has none of a trigger"
+        )
     identity = node.identity
     clock = {"tick_hz": identity.tick_hz, "pwm_hz": identity.pwm_hz}
     samples = StreamConfig(
