@@ -457,13 +457,13 @@ class Rig:
             spans.append(span)
             self.mark_step(span)
 
-        first = self.tick()
+        first, sets = self.tick(), self.recorder.sets
         Player(self, asked.max_speed, lambda act: self.note(act.title), marked).play(asked.acts)
         for name, value in before.items():
             self.drive.set(name, value)
         last = max(self.tick(), *(span.last for span in spans))
         self.until(lambda: self.recorder.newest >= last or self._silent(first), LATE)
-        return Played(self.between(first, last), tuple(spans))
+        return Played(self.received(first, last, sets), tuple(spans))
 
     def record(self, seconds: float) -> Capture:
         """The next `seconds` of device time. Raises DriveTripped, and BenchError when no samples come.
