@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -55,20 +56,30 @@ class Captured:
         gaps = (Gap(0, status.edges_lost, 0, overrun=True),) if status.edges_lost else ()
         return unpack_edges(config, records, ticks, index, gaps)
 
-    def capture(self, parameters: dict[str, float]) -> Capture:
+    def capture(self, parameters: Mapping[str, float]) -> Capture:
         """The same for measuring, with the drive's `parameters`."""
-        lost = self.status.edges_lost
         first = int(self.samples.tick[0])
         until = int(self.edges.tick[0]) if len(self.edges) else int(self.samples.tick[-1])
-        words = f"{counted(lost, 'Hall edge')} found no room in the drive's memory"
-        return Capture(self.samples, self.edges, parameters, ((first, until, words),) if lost else ())
+        return Capture(self.samples, self.edges, parameters, ((first, until, self.lost),) if self.lost else ())
+
+    @property
+    def lost(self) -> str:
+        """How many Hall edges are missing, and why; empty where all are there."""
+        lost = self.status.edges_lost
+        return f"{counted(lost, 'Hall edge')} found no room in the drive's memory" if lost else ""
 
 
 def streams_of(node: Node, status: CaptureReply, channels: tuple[Channel, ...]) -> tuple[StreamConfig, StreamConfig]:
     """The streams that stand for a capture's samples and edges.
 
-    `channels`: of the capture, in its order. NodeError where they do not make the records that the drive tells.
+    `channels`: of the capture, in its order. NodeError where they do not make the records that the drive tells, and
+    where the trigger's is not among these.
     """
+    if not (status.first < status.records and status.after and status.decimation):
+        raise NodeError(
+            f"node {node.number} tells a capture of {status.records} records, one in {status.decimation} periods, "
+            f"{status.first} before its trigger and {status.after} asked for from there on: it has none of a trigger"
+        )
     identity = node.identity
     clock = {"tick_hz": identity.tick_hz, "pwm_hz": identity.pwm_hz}
     samples = StreamConfig(

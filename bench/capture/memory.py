@@ -32,6 +32,7 @@ from protocol.text import counted
 
 PATIENCE = 30.0
 """s that a link which has gone is waited for."""
+COMPLETE = 1.5  # s after its last record within which a capture is FROZEN, and told
 _LOOK = 0.1  # s between looks at a capture that waits for its trigger
 _AGAIN = 0.2  # s between attempts to reach a drive that does not answer
 _LATE, _CATCH_UP = 0.25, 5.0  # s by which streams may be late beside a capture, and in which they are no longer

@@ -10,13 +10,11 @@ from typing import Any
 from bench.capture.decode import Captured
 from bench.capture.memory import frozen_words
 from bench.device.heard import Chunk, Note
-from bench.errors import RecordingError
 from bench.record.info import CAPTURE, Mark, RunInfo
-from bench.record.writer import RunWriter
+from bench.record.writer import whole_run
 from bench.signal.chunks import BEGIN, between, part, streams_none
 from protocol.codes import fault_names
 from protocol.messages import CaptureTrigger
-from protocol.text import counted
 
 _PIECE = 1.0  # s that a reader of the run gets at once
 
@@ -43,26 +41,14 @@ def store(captured: Captured, path: Path, info: RunInfo, told: dict[str, Any], o
     """
     status = captured.status
     info = replace(info, channels=captured.stream.channels, identity={**info.identity, CAPTURE: told})
-    try:
-        writer = RunWriter(path, info, overwrite, whole=True)
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be written: {error.strerror or error}") from None
-    try:
+    with whole_run(path, info, overwrite) as writer:
         for chunk in pieces(captured):
             writer.take(chunk)
         writer.take(Mark(f"trigger {told['trigger']}", status.tick, status.tick))
         if told["faults"]:
             writer.take(Note(status.tick, f"the drive tripped: {', '.join(told['faults'])}", "ERROR"))
-        if status.edges_lost:
-            words = f"{counted(status.edges_lost, 'Hall edge')} found no room in the drive's memory"
-            writer.take(Note(status.tick, words, "WARN"))
-        writer.close()
-    except OSError as error:
-        writer.discard()
-        raise RecordingError(f"{path} cannot be written: {error.strerror or error}") from None
-    except BaseException:
-        writer.discard()
-        raise
+        if captured.lost:
+            writer.take(Note(status.tick, captured.lost, "WARN"))
 
 
 def pieces(captured: Captured) -> Iterator[Chunk]:

@@ -66,7 +66,9 @@ class Trigger:
         if how not in _COMPARED:
             hint = "say 'rises' or 'falls'" if how == "crosses" else f"a drive knows {FORMS}"
             raise BenchError(f"'{words}' is no trigger of a capture: {hint}")
-        level = _number(words, found["value"])
+        level = float(found["value"] or math.nan)
+        if not math.isfinite(level):
+            raise BenchError(f"'{words}' is no trigger of a capture: give a finite number after the comparison")
         if channel == "pulse" and how == "<":
             if unit not in _SECONDS:
                 raise BenchError(f"'{words}': give the length of a pulse with its unit, such as 'pulse < 5 us'")
@@ -89,13 +91,3 @@ class Trigger:
             own = f"in {found.unit.symbol}" if found.unit.symbol else "a pure number"
             raise BenchError(f"--trigger '{self.text}': {self.channel} is {own}, not in {self.unit}")
         return found
-
-
-def _number(words: str, text: str | None) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise BenchError(f"'{words}' is no trigger of a capture: give a finite number after the comparison")
-    return value

@@ -18,8 +18,9 @@ from protocol.text import counted
 
 EDGES_PER_SECOND = 1000.0
 """For which room is kept where nobody knows how fast the shaft can turn."""
+MORE_EDGES = 1.25
+"""Times as many as the highest speed makes: it is passed on the way to it."""
 _SPARE_EDGES = 16
-_MORE_EDGES = 1.25  # than the highest speed makes: it is passed on the way to it
 
 
 @dataclass(frozen=True)
@@ -78,8 +79,13 @@ class Wanted:
         rate = EDGES_PER_SECOND
         if node.has_parameter("n_p") and node.has_parameter("omega_m_max"):
             turns = node.parameter("omega_m_max").value / math.tau
-            rate = _MORE_EDGES * 6.0 * node.parameter("n_p").value * turns
-        return min(math.ceil(rate * self.seconds) + _SPARE_EDGES, 0xFFFF)
+            rate = MORE_EDGES * 6.0 * node.parameter("n_p").value * turns
+        return room_for_edges(rate, self.seconds)
+
+
+def room_for_edges(per_s: float, seconds: float) -> int:
+    """Hall edges for which room is asked, where so many a second may come."""
+    return min(math.ceil(per_s * seconds) + _SPARE_EDGES, 0xFFFF)
 
 
 def too_large(node: Node, wanted: Wanted, asked: CaptureArm, fits: int, room: int) -> NodeError:

@@ -110,7 +110,7 @@ def _act(
         stored.append(capturing.fetch(given["out"], overwrite, given["remark"]))
         _tell(stored[-1], told)
     elif given["arm"]:
-        number = capturing.arm(wanted).number
+        number = capturing.memory.arm(wanted).number
         told(f"capture {number} is armed and waits for '{wanted.trigger.text}'; --held -o RUN fetches it")
     else:
         for each in capturing.take(wanted, given["out"], given["repeat"], given["timeout"], overwrite, given["remark"]):

@@ -167,7 +167,7 @@ class Client:
         self.parameters: dict[int, dict[int, str]] = {}
         """By node, the names of its parameters by id, as far as its descriptor was read."""
         self.changed: dict[tuple[int, str], ParameterSet] = {}
-        """By node and name, the last change of a parameter that the node has told."""
+        """By node and name, the last change of a parameter, as the node has told it, or as it was set from here."""
         self.faults: dict[int, Fault] = {}
         """By node, all that its heartbeats and events have reported; an event may have been lost with the link."""
         self.bytes_in = 0

@@ -213,7 +213,8 @@ class Node:
 
     def set(self, name: str, value: float) -> float:
         """Set a parameter; returns the value that the device stored. Raises NodeError with the range if refused."""
-        told = self.client.changed.get((self.number, name))
+        key = self.number, name
+        told = self.client.changed.get(key)
         try:
             stored = self.client.request(ParamSet(self._parameter_id(name), value), self.number, ParamStored).stored
         except Refused as refusal:
@@ -230,8 +231,9 @@ class Node:
             if refusal.code == ErrorCode.READ_ONLY:
                 raise NodeError(f"{name} of node {self.number} can only be read") from None
             raise NodeError(f"{name} = {value:g} was refused by node {self.number}: {refusal}") from None
-        if self.client.changed.get((self.number, name)) is told:  # it has not said so itself
-            self.client.tell(ParameterSet(self.client.newest(self.number), self.number, name, stored))
+        if self.client.changed.get(key) is told:  # it has not said so itself
+            self.client.changed[key] = ParameterSet(self.client.newest(self.number), self.number, name, stored)
+            self.client.tell(self.client.changed[key])
         return stored
 
     def _idle_only(self, name: str) -> bool:

@@ -34,7 +34,7 @@ def watch(rig: Rig, seconds: float, progress: Callable[[str], None]) -> Turned:
     with suppress(KeyboardInterrupt):
         while (left := end - rig.client.now()) > 0:
             rig.wait(min(LOOK, left))
-            gone = way(rig.recorder, first, rig.drive.parameters)
+            gone = way(rig.recorder, first)
             turned = f"{gone.up:.1f} electrical revolutions forward, {gone.down:.1f} reverse"
             if gone.reach < LEAST_REACH:
                 turned += f", over {gone.reach:.1f}: go on in one direction"

@@ -12,7 +12,7 @@ judges Hall sensors.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -109,7 +109,7 @@ class Turner:
                     self._rig.drive.stop()
                 tried.append(how)
                 self._coast()
-                if way(self._rig.recorder, self._first, self._rig.drive.parameters).enough:
+                if way(self._rig.recorder, self._first).enough:
                     break
             self._leave_clear()
         trips = [f"{what} at {', '.join(speeds)} r/min" for what, speeds in self._trips.items()]
@@ -269,14 +269,14 @@ class Way(NamedTuple):
         return min(self.up, self.down) >= ENOUGH and self.reach >= LEAST_REACH
 
 
-def way(recorder: Recorder, first: int, parameters: Mapping[str, float]) -> Way:
+def way(recorder: Recorder, first: int) -> Way:
     """Since the device tick `first`: by the encoder, or without one by the sectors.
 
     Beside an input that never changes two edges of six tell the way; they then count three times.
     """
     if recorder.newest <= first:
         return Way(0.0, 0.0, 0.0)
-    capture = recorder.capture(first, recorder.newest, parameters)
+    capture = recorder.capture(first, recorder.newest)
     each = 1.0 / SECTORS
     try:
         theta = capture.theta[:: max(1, round(capture.measured_rate / LOOKS))]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.errors import BenchError, RecordingError
+from bench.errors import BenchError
 from bench.files import check_output
 from bench.importer import convert
 from bench.importer.mapping import Mapping as Mapped
@@ -17,7 +17,7 @@ from bench.importer.plan import AS_SECONDS, Plan, plan
 from bench.importer.source import Apart, Source
 from bench.importer.survey import Progress, Survey, survey
 from bench.record.info import RunInfo
-from bench.record.writer import RunWriter
+from bench.record.writer import whole_run
 from bench.signal.capture import Capture
 from bench.signal.chunks import LostStretches, join, no_edge_stream, no_edges
 from protocol import __version__
@@ -149,22 +149,14 @@ def write(
     converter = convert.Converter(prepared.source, prepared.plan, prepared.seen, prepared.when)
     notes = prepared.notes
     info = _info(prepared, converter, path, notes)
-    writer = RunWriter(out, info, overwrite, whole=True)
-    try:
-        first = last = None
+    first = last = None
+    with whole_run(out, info, overwrite) as writer:
         for chunk in converter.chunks(progress):
             writer.take(chunk)
             first = int(chunk.tick[0]) if first is None else min(first, int(chunk.tick[0]))
             last = int(chunk.tick[-1]) if last is None else max(last, int(chunk.tick[-1]))
         if not converter.samples or first is None or last is None:
             raise BenchError(f"{path}: no row has all that a sample needs: {_why(converter.rejected.counts)}")
-        writer.close()
-    except OSError as error:
-        writer.discard()
-        raise RecordingError(f"{out} cannot be written: {error.strerror or error}") from None
-    except BaseException:
-        writer.discard()
-        raise
     return Imported(
         out, converter.samples, converter.edges, converter.gaps, (last - first) / prepared.seen.tick_hz,
         prepared.when.rate, tuple(channel.name for channel in converter.channels), converter.rejected.counts,

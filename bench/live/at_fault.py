@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bench.capture.memory import held_words
+from bench.capture.memory import COMPLETE, CaptureMemory, held_words
 from bench.device.node import Node
 from bench.errors import BenchError
 from bench.files import is_run, run_folder
@@ -18,7 +18,6 @@ from protocol.errors import HbpError
 from protocol.messages import CaptureReply, CaptureState, CaptureTrigger
 
 LONGEST = 20.0  # s that the end of a run waits for what the drive held: a quarter of a second at 115200 baud, and some
-LATE = 1.5  # s in which a capture that has been triggered is complete
 
 
 class AtFault:
@@ -30,8 +29,7 @@ class AtFault:
     def __init__(
         self, node: Node, target: str, settings: Settings, screen: Screen, save: Path | None, lasts: bool
     ) -> None:
-        self._lasts = lasts
-        self._node, self._target, self._screen = node, target, screen
+        self._node, self._screen, self._lasts = node, screen, lasts
         self._path = None if save is None else fault_run(run_folder(save))
         self._capturing = Capturing(node, target, settings, screen) if node.offers_capture else None
         self._before: tuple[int, int] | None = None  # boot and number of what it held when the run began
@@ -42,10 +40,11 @@ class AtFault:
             remove(self._path)
         if self._capturing is None:
             return
-        if (held := self._capturing.held()) is not None:
+        held = self._capturing.memory.status()
+        if held.state == CaptureState.FROZEN:
             self._before = self._node.identity.boot_id, held.number
-            fetch = f"`bench capture {self._target} --at-fault -o RUN` fetches it"
-            self._screen.note(f"{held_words(self._node, held)}, and takes no other one until then: {fetch}")
+            words = f"{held_words(self._node, held)}, and takes no other one until then"
+            self._screen.note(f"{words}: {self._capturing.advice}")
 
     def keep(self) -> dict[str, Any]:
         """After the run: what the drive has held since a fault of it, as plain data; empty where it holds nothing.
@@ -55,28 +54,20 @@ class AtFault:
         if self._capturing is None:
             return {}
         try:
-            held = self._frozen(self._capturing)
-            if held is None:
-                return {}
-            if self._path is None:
-                if not self._lasts:
-                    return {}
-                fetch = f"`bench capture {self._target} --at-fault -o RUN` fetches it"
-                self._screen.note(f"{held_words(self._node, held)}: {fetch}")
-                return {}
-            return self._capturing.fetch(self._path, overwrite=True, most=LONGEST).as_json()
+            held = self._frozen(self._capturing.memory)
+            if held is not None and self._path is not None:
+                return self._capturing.fetch(self._path, overwrite=True, most=LONGEST).as_json()
+            if held is not None and self._lasts:
+                self._screen.note(f"{held_words(self._node, held)}: {self._capturing.advice}")
         except (BenchError, HbpError) as error:
             self._screen.note(f"what the drive held at the fault was not kept: {error}")
-            return {}
+        return {}
 
-    def _frozen(self, capturing: Capturing) -> CaptureReply | None:
+    def _frozen(self, memory: CaptureMemory) -> CaptureReply | None:
         """What a fault of this run has frozen; a moment is waited for that."""
-        now = capturing.memory.status()
-        if now.trigger != CaptureTrigger.FAULT or now.state not in (CaptureState.TRIGGERED, CaptureState.FROZEN):
+        now = memory.status()
+        if now.trigger != CaptureTrigger.FAULT or self._before == (self._node.identity.boot_id, now.number):
             return None
         if now.state == CaptureState.TRIGGERED:
-            frozen = capturing.memory.wait(now.number, LATE)
-            if frozen is None:
-                return None
-            now = frozen
-        return None if self._before == (self._node.identity.boot_id, now.number) else now
+            return memory.wait(now.number, COMPLETE)
+        return now if now.state == CaptureState.FROZEN else None

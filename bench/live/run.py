@@ -116,7 +116,7 @@ class LiveRun:
         )
         self._at_fault.look()
         if options.tune:
-            self._tuning = Tuning(self.rig.drive, options.tune, lambda name, tick: self.rig.drive.marked(name, tick))
+            self._tuning = Tuning(self.rig.drive, options.tune)
         self.asked = options.asked(self.node)
         if self.asked is None:
             return

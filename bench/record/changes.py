@@ -21,5 +21,5 @@ def settled(changes: Iterable[ParameterSet]) -> tuple[ParameterSet, ...]:
 
 
 def course(initial: Mapping[str, float], changes: Iterable[ParameterSet]) -> ParameterCourse:
-    """Parameters of one node over a run; `changes` are its own, all of one boot."""
-    return ParameterCourse(initial, (Change(c.tick, c.name, c.value) for c in settled(changes)))
+    """Parameters of one node over a run; `changes` are its own, all of one boot, each once (see `settled`)."""
+    return ParameterCourse(initial, (Change(c.tick, c.name, c.value) for c in changes))

@@ -594,7 +594,7 @@ def captures(
     has_edges = layout.EDGES in run.names
     none = no_edges(run.config(layout.EDGES) if has_edges else no_edge_stream(info.node, info.tick_hz, info.pwm_hz))
     edges = _Edges(run.pieces(layout.EDGES, first, last) if has_edges else iter(()), none)
-    stretches = LostStretches()
+    stretches, parameters = LostStretches(), run.parameters
 
     def capture(samples: SampleChunk, until: int) -> Capture:
         covered = edges.until(until)
@@ -602,8 +602,8 @@ def captures(
         if until == END:
             lost += _lost_at_the_ends(run, first, last, stretches)
             lost += [(m.tick, m.tick, m.text) for m in run.misdated if m.node == info.node and first <= m.tick <= last]
-        parameters = run.parameters.since(int(samples.tick[0]))
-        return Capture(samples, covered, parameters, tuple(lost), edge_step=info.edge_step)
+        known = parameters.since(int(samples.tick[0]))
+        return Capture(samples, covered, known, tuple(lost), edge_step=info.edge_step)
 
     waiting: SampleChunk | None = None
     for piece in run.pieces(layout.SAMPLES, first, last, channels) if layout.SAMPLES in run.names else ():

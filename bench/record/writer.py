@@ -9,8 +9,8 @@ time: first its line `removed` is on the disk, then its files go.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ import numpy as np
 
 from bench.device.heard import Chunk, ClockRestarted, Misdated, Missing, Note, ParameterSet
 from bench.device.losses import LossAccount
+from bench.errors import RecordingError
 from bench.record import journal, layout
 from bench.record.folder import RunFolder, SegmentFile, write_all
 from bench.record.info import Kept, Mark, RunInfo, SummaryText, stream_to_json
@@ -38,6 +39,25 @@ ROW_GROUP = 10.0  # s
 SEGMENT = 60.0  # s
 _TOLD = ("boot_id", "state", "outputs_on", "faults", "first_fault", "tx_dropped", "rx_bad", "setpoints_rejected")
 """Of a heartbeat: it is logged where one of these has changed."""
+
+
+@contextmanager
+def whole_run(path: Path, info: RunInfo, overwrite: bool = False) -> Iterator[RunWriter]:
+    """A writer of a run that appears, whole, at the end of the block; after any exception nothing is left of it.
+
+    Raises RecordingError, also where the disk does not take what it is given.
+    """
+    writer: RunWriter | None = None
+    try:
+        writer = RunWriter(path, info, overwrite, whole=True)
+        yield writer
+        writer.close()
+    except BaseException as error:
+        if writer is not None:
+            writer.discard()
+        if isinstance(error, OSError):
+            raise RecordingError(f"{path} cannot be written: {error.strerror or error}") from None
+        raise
 
 
 class RunWriter:

@@ -5,6 +5,7 @@ Nothing here energises anything, or stops a stream: another host may be turning 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -25,10 +26,9 @@ from bench.rig.screen import Screen
 from bench.rig.settings import Settings
 from protocol.errors import HbpError
 from protocol.links import open_link
-from protocol.messages import CaptureReply, CaptureState
+from protocol.messages import CaptureReply
 
 _SOON = 1.0  # s after which it is known how fast a link is
-NO_END = 1e9  # s that a trigger is waited for, where nobody says how long
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,8 @@ class Capturing:
         """Raises NodeError where the drive has no memory for captures."""
         self.node, self.target, self.settings, self.screen = node, target, settings, screen
         self.memory = CaptureMemory(node)
+        self.advice = f"`bench capture {target} --at-fault -o RUN` fetches it"
+        """How somebody gets what the drive holds."""
 
     def take(
         self, wanted: Wanted, path: Path, repeat: int = 1, timeout: float | None = None, overwrite: bool = False,
@@ -73,7 +75,7 @@ class Capturing:
             of = f" ({number + 1} of {repeat})" if repeat > 1 else ""
             self.screen.progress(f"armed{of}: waiting for {wanted.trigger.text}")
             try:
-                status = self.memory.wait(armed.number, NO_END if timeout is None else timeout)
+                status = self.memory.wait(armed.number, math.inf if timeout is None else timeout)
             except BaseException:
                 with suppress(HbpError, BenchError):
                     self.memory.disarm(armed.number)
@@ -84,11 +86,7 @@ class Capturing:
                 raise BenchError(f"no trigger '{wanted.trigger.text}' within {timeout:g} s{done}; nothing is armed now")
             yield self._keep(status, each, overwrite, wanted.trigger.text, wanted.pre, note)
 
-    def arm(self, wanted: Wanted) -> CaptureReply:
-        """Arm, and leave it to whoever fetches it. Raises BenchError."""
-        return self.memory.arm(wanted)
-
-    def fetch(self, path: Path, overwrite: bool = False, note: str = "", most: float = NO_END) -> Stored:
+    def fetch(self, path: Path, overwrite: bool = False, note: str = "", most: float = math.inf) -> Stored:
         """Read and store what the drive holds, whoever has armed it. Raises BenchError.
 
         It stays in the drive where reading it would take more than `most` s.
@@ -102,14 +100,9 @@ class Capturing:
         self.memory.give_up()
         return words
 
-    def held(self) -> CaptureReply | None:
-        """What the drive holds, None where nothing is FROZEN."""
-        now = self.memory.status()
-        return now if now.state == CaptureState.FROZEN else None
-
     def _keep(
         self, status: CaptureReply, path: Path, overwrite: bool, trigger: str = "", pre: float | None = None,
-        note: str = "", most: float = NO_END,
+        note: str = "", most: float = math.inf,
     ) -> Stored:  # fmt: skip
         """Read, store, and only then give up what the drive holds."""
         began = self.node.client.now()
@@ -117,9 +110,8 @@ class Capturing:
         def progress(done: int, size: int) -> None:
             took = self.node.client.now() - began
             if took > _SOON and took * size / done > most:
-                fetch = f"`bench capture {self.target} --at-fault -o RUN` does it"
-                raise BenchError(f"reading it takes {took * size / done:.0f} s on this link: {fetch}")
-            self._progress(done, size)
+                raise BenchError(f"reading it takes {took * size / done:.0f} s on this link: {self.advice}")
+            self.screen.progress(f"reading the capture: {done} of {size} bytes ({100 * done / size:.0f} %)")
 
         captured = self.memory.read(status, progress)
         took = self.node.client.now() - began
@@ -133,9 +125,6 @@ class Capturing:
         span = float(ticks[0] / hz), float(ticks[-1] / hz)
         return Stored(path, told, len(captured.stream.channels), span, took)
 
-    def _progress(self, done: int, size: int) -> None:
-        self.screen.progress(f"reading the capture: {done} of {size} bytes ({100 * done / size:.0f} %)")
-
 
 @contextmanager
 def listening(target: str, settings: Settings, screen: Screen) -> Iterator[Capturing]:
@@ -143,6 +132,8 @@ def listening(target: str, settings: Settings, screen: Screen) -> Iterator[Captu
     link = open_link(target)
     try:
         client = Client(link, reconnect=PATIENCE)
-        yield Capturing(find_drive(client, target), target, settings, screen)
+        drive = find_drive(client, target)
+        drive.encoder = settings.encoder
+        yield Capturing(drive, target, settings, screen)
     finally:
         link.close()

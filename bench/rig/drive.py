@@ -19,7 +19,7 @@ from bench.rig.envelope import Envelope
 from bench.rig.machine import Machine, require_announced, require_announced_speed
 from bench.rig.restore import try_all
 from bench.rig.runaway import RunawayGuard
-from bench.rig.tuning import Marked, Tuning
+from bench.rig.tuning import Tuning
 from bench.signal.sources import source_names, source_number
 from bench.signal.units import RPM, pole_pairs, shaft_speed
 from bench.signal.waveforms.excitation import Waveform
@@ -65,7 +65,7 @@ class Drive(Machine):
         self.changed: dict[str, float] = {}
         """Those that were set, as they were last set."""
         self._initial: dict[str, float] = {}
-        self.marked: Marked = lambda name, tick: None
+        self.marked: Callable[[str, int], object] = lambda name, tick: None
         """What marks a moment in the recording, by name and device tick."""
         self.guard: RunawayGuard | None = None
         """What sees that the motor runs away, once it is known what is streamed."""
@@ -235,7 +235,7 @@ class Drive(Machine):
 
         `values` are set at once. NodeError for a name that the drive does not have, or does not let one tune.
         """
-        tuning = Tuning(self, (*names, *(name for name in values if name not in names)), self.marked)
+        tuning = Tuning(self, tuple(dict.fromkeys([*names, *values])))
         try:
             for name, value in values.items():
                 tuning[name] = value

@@ -17,7 +17,7 @@ from bench.device.client import GRACE, LATE, POLL, Client
 from bench.errors import BenchError
 from bench.motion import profile
 from bench.motion.profile import Act
-from bench.rig.drive import Drive
+from bench.rig.drive import OBSERVER, Drive
 from bench.rig.loads import Load
 from bench.rig.machine import Machine
 from bench.rig.played import Span
@@ -127,7 +127,7 @@ class Player:
         drive = self._stage.drive
         for name, value in act.sets.items():
             drive.set(name, value)
-        if "observer" in act.sets:  # another speed is watched
+        if OBSERVER in act.sets:  # another speed is watched
             drive.on_course = False
         drive.may_turn_freely(self._max_speed if act.drive.quantity == profile.CURRENT else None)
         self._due = -math.inf

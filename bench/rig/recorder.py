@@ -11,9 +11,10 @@ from collections.abc import Mapping
 from bench.device.counters import DeviceCounters
 from bench.device.heard import Heard, Misdated, Missing, ParameterSet
 from bench.errors import BenchError
-from bench.record.changes import course
+from bench.record.changes import course, settled
 from bench.signal.capture import Capture
 from bench.signal.chunks import LostStretches, between, join, no_edges, streams_none
+from bench.signal.parameters import ParameterCourse
 from protocol.host import HeartbeatReceived
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from protocol.text import counted
@@ -30,6 +31,7 @@ class Recorder:
         self._drive = drive
         self._samples: list[SampleChunk] = []
         self._edges: list[EdgeChunk] = []
+        self._parameters: Mapping[str, float] = {}  # before any of them
         self._set: list[ParameterSet] = []
         self._lost = LostStretches()
         self._beats = 0, 0  # the drive's counts of edges, by its first heartbeat and its last
@@ -57,9 +59,9 @@ class Recorder:
 
     # -- for the rig --------------------------------------------------------------------------------------------
 
-    def expect(self, edges: StreamConfig) -> None:
-        """Hall edges will come like this, if the shaft turns."""
-        self.tick_hz = edges.tick_hz
+    def expect(self, edges: StreamConfig, parameters: Mapping[str, float]) -> None:
+        """Hall edges will come like this, if the shaft turns; `parameters` are the drive's now."""
+        self.tick_hz, self._parameters = edges.tick_hz, dict(parameters)
         self._edges = [no_edges(edges)]
 
     @property
@@ -81,11 +83,16 @@ class Recorder:
         """How many parameters have been set so far."""
         return len(self._set)
 
-    def capture(self, first: int, last: int, parameters: Mapping[str, float], sets: int | None = None) -> Capture:
+    def course(self, sets: int = 0) -> ParameterCourse:
+        """The drive's parameters when so many had been set, and what has changed since then."""
+        before = {change.name: change.value for change in self._set[:sets]}
+        return course({**self._parameters, **before}, settled(self._set[sets:]))
+
+    def capture(self, first: int, last: int, sets: int | None = None) -> Capture:
         """What lies between the ticks `first` and `last`, both included. BenchError if that is nothing.
 
-        `parameters`: the drive's before it was recorded. `sets`: how many had been set when it began, which tells where
-        the clock does not: in virtual time it may stand still meanwhile.
+        `sets`: how many parameters had been set when it began; None: as many as were before its first sample. The time
+        alone does not tell it: in virtual time the drive's clock may stand still meanwhile.
         """
         chunks = [c for c in self._samples if c.tick[-1] >= first and c.tick[0] <= last]
         if not chunks:
@@ -101,10 +108,7 @@ class Recorder:
             )
         if self.newest < last:
             dropped.append((self.newest, last, f"no sample received after {self._at(self.newest)}"))
-        known = course(parameters, self._set).since(int(samples.tick[0]))
-        if sets is not None:
-            before = course(parameters, self._set[:sets]).since(last + 1)
-            known = course(before, self._set[sets:])
+        known = self.course().since(int(samples.tick[0])) if sets is None else self.course(sets)
         return Capture(samples, edges, known, tuple(dropped))
 
     def count(self) -> tuple[int, int]:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import Any, Self
 
@@ -48,7 +47,7 @@ from bench.rig.restore import failures_of
 from bench.rig.runaway import RunawayGuard
 from bench.rig.settings import Settings
 from bench.rig.shots import SHARE, FullRate, Held, Shot
-from bench.rig.streams import configure, edge_rate
+from bench.rig.streams import configure, edge_rate, most_channels
 from bench.signal.capture import Capture
 from bench.signal.channels import reference_angle, speed_channel
 from bench.signal.chunks import no_edge_stream
@@ -57,15 +56,13 @@ from protocol.descriptor import Channel
 from protocol.errors import HbpError
 from protocol.links import Link
 from protocol.messages import Role
-from protocol.signals import Flag, Signal, Unit
+from protocol.signals import Signal
 from protocol.streams import MAX_DECIMATION, StreamConfig
 
 SILENCE = 2.0  # s without samples after which waiting for more is given up
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 LATE = 1.0  # s that samples of a stretch may come after its end
 FEW = 4  # samples that are waited for, however short a stretch is
-CORE = ("hall", "status", "i_a", "i_d", "i_q")
-"""What is streamed, beside reference and estimates, where a link cannot carry everything."""
 
 
 @dataclass(frozen=True)
@@ -179,11 +176,11 @@ class Rig:
             self.learn()
             if not self.plan.passive:
                 self.load = self._find_load()
-            choices = channels or self._most_channels(needed)
+            choices = channels or most_channels(self.drive.node, needed)
             edges = self.configure(choices, slower=True)
             if held and self.rate < self.drive.node.identity.pwm_hz and self.drive.node.offers_capture:
                 edges = self._hold(choices[-1], full)
-            self.recorder.expect(edges)
+            self.recorder.expect(edges, self.drive.parameters)
             self.record_to(recording or Recording(), [self.recorder])
             self.drive.node.start_streams()
             self.wait(2 * POLL)
@@ -288,18 +285,6 @@ class Rig:
             return NodeLoad(node, self.plan.envelope)
         directory = settings.path.parent if settings.path else Path()
         return self.plan.own_loads.get(kind, directory, self.plan.envelope)
-
-    def _most_channels(self, needed: frozenset[str]) -> list[tuple[Channel, ...]]:
-        """The most channels, and the fewest that a measurement can do with."""
-        known = [c for c in self.drive.node.descriptor.channels if c.name in needed or not c.flags & Flag.TRUTH]
-        wanted = needed.union(CORE)
-        usual = [c for c in known if c.name in wanted or not c.flags & Flag.ON_REQUEST]
-        for unit, flags in product((Unit.RAD, Unit.RAD_PER_S), (Flag.REFERENCE, Flag.REFERENCE | Flag.ESTIMATE)):
-            if not any(c.unit == unit and c.flags & flags for c in usual):  # but on request: then it is asked for
-                usual += [c for c in known if c.unit == unit and c.flags & flags]
-        channels = tuple(c for c in known if c in usual)
-        core = tuple(c for c in channels if c.name in wanted or c.flags & (Flag.REFERENCE | Flag.ESTIMATE))
-        return [channels or self.drive.node.channels(None), core]
 
     def record_to(
         self, recording: Recording, watching: Sequence[Sink], more: Sequence[Channel | Signal] = ()
@@ -472,13 +457,13 @@ class Rig:
             spans.append(span)
             self.mark_step(span)
 
-        first = self.tick()
+        first, sets = self.tick(), self.recorder.sets
         Player(self, asked.max_speed, lambda act: self.note(act.title), marked).play(asked.acts)
         for name, value in before.items():
             self.drive.set(name, value)
         last = max(self.tick(), *(span.last for span in spans))
         self.until(lambda: self.recorder.newest >= last or self._silent(first), LATE)
-        return Played(self.between(first, last), tuple(spans))
+        return Played(self.received(first, last, sets), tuple(spans))
 
     def record(self, seconds: float) -> Capture:
         """The next `seconds` of device time. Raises DriveTripped, and BenchError when no samples come.
@@ -496,7 +481,7 @@ class Rig:
         first, sets = self.tick(), self.recorder.sets
         last = first + round(seconds * self.recorder.tick_hz)
         self.until(lambda: self.recorder.newest >= last or self._silent(first), seconds + LATE)
-        return self.between(first, last, sets)
+        return self.received(first, last, sets)
 
     @contextmanager
     def recording(self, seconds: float | None = None) -> Iterator[Stretch]:
@@ -505,13 +490,13 @@ class Rig:
         `seconds`: how long it will last about, for a drive that has to hold it in its memory; None: 2.5 s at most.
         """
         held = None if self.full_rate is None else self.full_rate.begin(seconds)
-        stretch = Stretch(self, self.tick(), held=held, sets=self.recorder.sets)
+        stretch = Stretch(self, self.tick(), self.recorder.sets, held=held)
         try:
             yield stretch
         finally:
             stretch.last = self.tick() if self.client.health.down_since is None else self.recorder.newest
             if held is not None:
-                held.end(stretch.first, stretch.last, self.drive.parameters)
+                held.end(stretch.first, stretch.last, self.recorder.course(stretch.sets))
         if self.recorder.newest < stretch.last:
             self.until(lambda: self.recorder.newest >= stretch.last, LATE)
 
@@ -574,11 +559,15 @@ class Rig:
         memory.give_up()
         return captured.capture(self.drive.parameters)
 
-    def between(self, first: int, last: int, sets: int | None = None) -> Capture:
-        """What came by the link between two device ticks; `sets`: see `Recorder.capture`. BenchError if nothing did."""
+    def between(self, first: int, last: int) -> Capture:
+        """What came by the link between two device ticks. BenchError if nothing did."""
+        return self.received(first, last)
+
+    def received(self, first: int, last: int, sets: int | None = None) -> Capture:
+        """The same; `sets`: see `Recorder.capture`."""
         if self.recorder.newest < first:
             raise BenchError(f"no DATA for {SILENCE:g} s on {self.client.link.name}")
-        return self.recorder.capture(first, last, {value.name: value.value for value in self.before}, sets)
+        return self.recorder.capture(first, last, sets)
 
     def latest(self, channel: str) -> float:
         """The newest value of a channel, in its unit. BenchError before the first sample, or without that channel."""
@@ -781,13 +770,13 @@ class Stretch:
 
     rig: Rig
     first: int
+    sets: int
+    """How many parameters had been set when it began."""
     last: int = -1
     held: Held | None = None
     """What the drive's memory holds of it, where the link is too slow."""
-    sets: int | None = None
-    """How many parameters had been set when it began."""
 
     @property
     def capture(self) -> Capture:
         """What came in it; read at the first call, where the drive holds it. BenchError if nothing did."""
-        return self.rig.between(self.first, self.last, self.sets) if self.held is None else self.held.read()
+        return self.rig.received(self.first, self.last, self.sets) if self.held is None else self.held.read()

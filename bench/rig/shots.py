@@ -11,10 +11,10 @@ from types import TracebackType
 from typing import Self
 
 from bench.capture.decode import Captured
-from bench.capture.memory import CaptureMemory, Until
+from bench.capture.memory import COMPLETE, CaptureMemory, Until
 from bench.capture.store import about, store
 from bench.capture.trigger import Trigger
-from bench.capture.wanted import EDGES_PER_SECOND, Wanted
+from bench.capture.wanted import EDGES_PER_SECOND, MORE_EDGES, Wanted, room_for_edges
 from bench.errors import BenchError
 from bench.files import check_output
 from bench.record.info import RunInfo
@@ -28,11 +28,8 @@ from protocol.signals import Signal
 from protocol.streams import EDGE_RECORD, MAX_DECIMATION, StreamConfig
 
 InfoOf = Callable[[tuple[Channel | Signal, ...]], RunInfo]
-LATE = 1.5  # s after its last record within which a capture is complete, and told
 STRETCH = 2.5  # s that what happens in a block may last, where nobody says how long
 SPARE = 0.3  # s that commands in a block may take beside what was said
-SPARE_EDGES, MORE_EDGES = 16, 1.25
-"""Room for Hall edges beside those of the highest speed, and for so many times these."""
 SHARE = 0.3  # of a link that streams may take where captures are to be read beside them
 _NOW = Trigger.parse("now")
 
@@ -58,17 +55,14 @@ class Shot:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is not None:
+            self._leave(error)
+            return
         try:
-            if error is None:
-                self._read(self._timeout, self._until)
-        except BenchError:
-            self._rescue()
+            self._read(self._timeout, self._until)
+        except BaseException as failure:
+            self._leave(failure)
             raise
-        if isinstance(error, BenchError):
-            self._rescue()
-        elif error is not None:
-            with suppress(HbpError, BenchError):  # what ended the block matters more
-                self._memory.disarm(self._number)
 
     def _read(self, timeout: float, until: Until | None) -> None:
         status = self._memory.wait(self._number, timeout, until)
@@ -78,12 +72,13 @@ class Shot:
         self._captured = self._memory.read(status)
         self._memory.give_up()
 
-    def _rescue(self) -> None:
+    def _leave(self, error: BaseException) -> None:
         """After an error: read what a trip has frozen, else leave nothing armed. What is wrong with that is no news."""
         with suppress(HbpError, BenchError):
             status = self._memory.status()
-            if status.number == self._number and status.state in (CaptureState.TRIGGERED, CaptureState.FROZEN):
-                self._read(LATE, None)
+            came = status.number == self._number and status.state in (CaptureState.TRIGGERED, CaptureState.FROZEN)
+            if came and isinstance(error, BenchError):
+                self._read(COMPLETE, None)
             else:
                 self._memory.disarm(self._number)
 
@@ -126,11 +121,13 @@ class Held:
         self._capture: Capture | None = None
 
     def end(self, first: int, last: int, parameters: Mapping[str, float]) -> None:
-        """It lasted from one device tick to another."""
-        self.first, self.last, self.parameters = first, last, dict(parameters)
+        """It lasted from one device tick to another, with these `parameters` of the drive."""
+        self.first, self.last, self.parameters = first, last, parameters
 
     def read(self) -> Capture:
-        """All of it. Raises BenchError, and HbpError of the link."""
+        """All of it, once it has ended. Raises BenchError, and HbpError of the link."""
+        if self.last < 0:
+            raise BenchError("the drive holds one stretch at a time, and this one goes on: end it before the next")
         if self._capture is None:
             self._capture = self._read(self)
         return self._capture
@@ -175,7 +172,7 @@ class FullRate:
     def _finish(self, held: Held) -> Capture:
         """Read a stretch that has ended; what the memory did not hold of it counts as lost."""
         captured = self._read(held.number, held.seconds, None)
-        capture = captured.capture(dict(held.parameters))
+        capture = captured.capture(held.parameters)
         newest, hz = int(captured.samples.tick[-1]), self.stream.tick_hz
         if newest < held.last - captured.stream.period_ticks * captured.stream.decimation:
             words = f"the drive's memory held no sample after {newest / hz:.4f} s: give record.stretch() its length"
@@ -183,8 +180,8 @@ class FullRate:
         return capture.ticks(held.first, held.last)
 
     def _begin(self, seconds: float) -> int:
-        edges, names = math.ceil(self._edges_per_s * seconds) + SPARE_EDGES, [channel.name for channel in self.channels]
-        wanted = Wanted(_NOW, seconds, 0.0, names, self._decimation(seconds), min(edges, 0xFFFF))
+        edges, names = room_for_edges(self._edges_per_s, seconds), [channel.name for channel in self.channels]
+        wanted = Wanted(_NOW, seconds, 0.0, names, self._decimation(seconds, edges), edges)
         if self._pending is not None:
             self._pending.read()
             self._pending = None
@@ -193,9 +190,8 @@ class FullRate:
             self._memory.give_up()
         return self._memory.arm(wanted).number
 
-    def _decimation(self, seconds: float) -> int:
-        room = self.room - EDGE_RECORD.itemsize * (math.ceil(self._edges_per_s * seconds) + SPARE_EDGES)
-        fits = room // self.stream.dtype.itemsize
+    def _decimation(self, seconds: float, edges: int) -> int:
+        fits = (self.room - EDGE_RECORD.itemsize * edges) // self.stream.dtype.itemsize
         decimation = math.ceil(seconds * self.stream.rate / fits) if fits > 0 else 0
         if not 1 <= decimation <= (1 if self.full else MAX_DECIMATION):
             raise BenchError(
@@ -205,9 +201,9 @@ class FullRate:
         return decimation
 
     def _read(self, number: int, seconds: float, until: Until | None) -> Captured:
-        status = self._memory.wait(number, seconds + LATE, until)
+        status = self._memory.wait(number, seconds + COMPLETE, until)
         if status is None:
-            raise BenchError(f"the drive did not complete a capture of {seconds:g} s in {seconds + LATE:g} s")
+            raise BenchError(f"the drive did not complete a capture of {seconds:g} s in {seconds + COMPLETE:g} s")
         captured = self._memory.read(status)
         self._memory.give_up()
         return captured

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import product
 
 from bench.device.node import MAX_LATENCY_MS, Node
 from bench.errors import BenchError, DoesNotFit
@@ -13,8 +14,11 @@ from bench.signal.units import pole_pairs
 from protocol.canmap.host import CanWire
 from protocol.descriptor import Channel
 from protocol.framing import encoded_length
+from protocol.signals import Flag, Unit
 from protocol.streams import EDGE_RECORD, MAX_DECIMATION, STREAM_HEADER, StreamConfig
 
+CORE = ("hall", "status", "i_a", "i_d", "i_q")
+"""What is streamed, beside reference and estimates, where a link cannot carry everything."""
 _TOLERANCE = 1e-4  # rates are printed with six digits
 _USABLE = 0.9  # of a byte link; replies are in the rest
 _HEARTBEATS = 20 * encoded_length(44)  # bytes/s: a drive's and a load machine's, ten a second each
@@ -32,6 +36,19 @@ def decimation_of(pwm_hz: int, rate_hz: float | None) -> int:
         near = pwm_hz / max(decimation, 1)
         raise BenchError(f"--rate {rate_hz:g} Hz is not the PWM rate over a whole number; the nearest is {near:g} Hz")
     return decimation
+
+
+def most_channels(node: Node, needed: frozenset[str]) -> list[tuple[Channel, ...]]:
+    """The most channels of a drive, those `needed` among them, and the fewest that a measurement can do with."""
+    known = [c for c in node.descriptor.channels if c.name in needed or not c.flags & Flag.TRUTH]
+    wanted = needed.union(CORE)
+    usual = [c for c in known if c.name in wanted or not c.flags & Flag.ON_REQUEST]
+    for unit, flags in product((Unit.RAD, Unit.RAD_PER_S), (Flag.REFERENCE, Flag.REFERENCE | Flag.ESTIMATE)):
+        if not any(c.unit == unit and c.flags & flags for c in usual):  # but on request: then it is asked for
+            usual += [c for c in known if c.unit == unit and c.flags & flags]
+    channels = tuple(c for c in known if c in usual)
+    core = tuple(c for c in channels if c.name in wanted or c.flags & (Flag.REFERENCE | Flag.ESTIMATE))
+    return [channels or node.channels(None), core]
 
 
 def configure(

@@ -21,13 +21,10 @@ class Tunable(Protocol):
 
     node: Node
     parameters: dict[str, float]
+    marked: Callable[[str, int], object]
 
     def set(self, name: str, value: float) -> None:
         """Set a parameter, which the end of the rig puts back."""
-
-
-Marked = Callable[[str, int], object]
-"""Takes the name of a mark and its device tick."""
 
 
 class Tuning(Mapping[str, float]):
@@ -36,8 +33,8 @@ class Tuning(Mapping[str, float]):
     Raises NodeError for a name that the drive does not have, or that it does not let one set while it runs.
     """
 
-    def __init__(self, drive: Tunable, names: tuple[str, ...], marked: Marked) -> None:
-        self._drive, self._marked = drive, marked
+    def __init__(self, drive: Tunable, names: tuple[str, ...]) -> None:
+        self._drive = drive
         records = {record.name: record for record in drive.node.descriptor.parameters}
         if unknown := [name for name in names if name not in records]:
             drive.node.parameter(unknown[0])  # raises, with what is near
@@ -54,15 +51,13 @@ class Tuning(Mapping[str, float]):
 
     def __setitem__(self, name: str, value: float) -> None:
         before, node = self[name], self._drive.node
-        told = node.client.changed.get((node.number, name))
         self._drive.set(name, value)
         now = self[name]
         if now == before:
             return
-        by_node = node.client.changed.get((node.number, name))
-        tick = node.client.newest(node.number) if by_node is None or by_node is told else by_node.tick
         unit = f" {self._records[name].unit.symbol}".rstrip()
-        self._marked(f"{name} {before:.6g} -> {now:.6g}{unit}", tick)
+        tick = node.client.changed[node.number, name].tick
+        self._drive.marked(f"{name} {before:.6g} -> {now:.6g}{unit}", tick)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._records)

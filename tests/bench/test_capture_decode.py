@@ -108,6 +108,10 @@ def test_a_drive_that_contradicts_itself_is_refused(made, more) -> None:
         status = replace(told, **wrong)
         with pytest.raises(NodeError, match="make"):
             streams_of(node(), status, captured.stream.channels)
+    empty = {"first": 0, "records": 0, "size": 8 * told.edges}
+    for wrong in (empty, {"first": told.records}, {"decimation": 0}, {"after": 0}):
+        with pytest.raises(NodeError, match="it has none of a trigger"):
+            streams_of(node(), replace(told, **wrong), captured.stream.channels)
 
 
 def test_a_drive_without_edges_makes_a_run_without_them(tmp_path) -> None:

@@ -158,6 +158,6 @@ def test_a_link_so_slow_that_the_end_of_a_run_would_wait_for_it_leaves_it_in_the
     ended = run(link, screen=screen, save=tmp_path / "g.run", duration=1.0, fit=True, channels=("i_q",))
     assert not ended.summary.at_fault
     (note,) = [note for note in screen.notes if note.startswith("what the drive held at the fault was not kept: ")]
-    assert re.search(r"reading it takes \d\d s on this link: `bench capture \S+ --at-fault -o RUN` does it$", note)
+    assert re.search(r"reading it takes \d\d s on this link: `bench capture \S+ --at-fault -o RUN` fetches it$", note)
     assert link.device.drive.capture.state == CaptureState.FROZEN
     assert not (tmp_path / "g-fault.run").exists()

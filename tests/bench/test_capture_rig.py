@@ -139,6 +139,20 @@ def test_without_a_trigger_nothing_is_left_armed(rig) -> None:
     assert device.drive.capture.trigger.name == "FAULT"
 
 
+def test_a_signal_while_the_trigger_is_awaited_leaves_nothing_armed(rig) -> None:
+    class Interrupting:
+        came = False
+
+        def take(self, item: object) -> None:
+            if not self.came:
+                self.came = True
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), rig.capture("i_q > 100", 0.02, channels=["i_q"]):
+        rig.client.sinks.append(Interrupting())
+    assert rig.client.link.device.drive.capture.trigger.name == "FAULT"
+
+
 def test_what_does_not_fit_says_what_does(rig) -> None:
     shot = rig.capture("now", 1.0, channels=CHANNELS)
     with pytest.raises(BenchError, match=rf"memory for captures of {MEMORY} bytes: --for \S+ does, or") as refused:

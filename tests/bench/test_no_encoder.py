@@ -12,7 +12,7 @@ from virtual_run import WatchedLink, never_armed, run, simulated
 import bench
 from bench.errors import BenchError, NodeError
 from bench.rig.settings import Settings, read_settings
-from protocol.signals import AngleSource
+from protocol.signals import AngleSource, Flag
 
 BLIND = Settings(encoder=False)
 NONE = r"bench.toml says that none is mounted \(\[rig\] encoder\)"
@@ -54,6 +54,17 @@ def test_a_control_that_would_go_by_it_is_not_energised() -> None:
     assert 200 < len(seen.edges) < 6 * 6 * 500 / 60 + 10  # six edges in each of six pole pairs' turns: it turned
     with pytest.raises(BenchError):
         assert seen.reference is not None
+
+
+def test_a_capture_has_no_reference(capsys: pytest.CaptureFixture[str]) -> None:
+    said(capsys, "capture", "sim", "--trigger", "now", "--for", "0.02", "-o", "held.run")
+    Path("bench.toml").unlink()
+    said(capsys, "capture", "sim", "--trigger", "now", "--for", "0.02", "-o", "seen.run")
+    flagged = [
+        [channel.name for channel in bench.open(path).info.channels if channel.flags & Flag.REFERENCE]
+        for path in ("held.run", "seen.run")
+    ]
+    assert flagged == [[], ["theta_enc", "omega_enc"]]
 
 
 def test_acceptance_skips_what_needs_one(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ from bench.live.summary import RunStatistics
 from bench.record.changes import settled
 from bench.record.reader import Run, capture_of, captures
 from bench.record.sink import RunSink
+from bench.record.writer import whole_run
 from bench.replay.estimators import CHECKED, Estimators, HostObservers, raw_counts
 from bench.replay.replay import estimate_capture, replay
 from bench.signal.parameters import Change, ParameterCourse
@@ -149,3 +150,15 @@ def test_what_this_host_has_dated_gives_way_to_what_the_node_has() -> None:
     told = [ParameterSet(120, 1, "k_p_vt", 1.0, exact=True), ParameterSet(4990, 1, "k_p_vt", 2.0, exact=True)]
     other = ParameterSet(130, 2, "k_p_vt", 1.0)
     assert settled([own[0], told[0], told[1], own[1], own[2], other]) == (told[0], told[1], own[2], other)
+
+
+def test_a_recording_follows_a_change_whose_event_was_lost_to_a_value_that_was_told_before(changed, tmp_path) -> None:
+    """700, 900, 700 within a second: each set has an event but the last, which has only what this host has dated."""
+    run, path = Run(changed[0]), tmp_path / "lost.run"
+    told = [ParameterSet(100, 1, "k_p_vt", 700.0, exact=True), ParameterSet(300, 1, "k_p_vt", 900.0, exact=True)]
+    own = [ParameterSet(tick, 1, "k_p_vt", value) for tick, value in ((110, 700.0), (310, 900.0), (500, 700.0))]
+    with whole_run(path, run.info) as writer:
+        for item in (own[0], told[0], told[1], own[1], own[2], run.samples):
+            writer.take(item)
+    changes = Run(path).parameters.changes
+    assert [(change.tick, change.value) for change in changes] == [(100, 700.0), (300, 900.0), (500, 700.0)]

@@ -63,8 +63,15 @@ def test_what_is_recorded_is_every_period_although_the_link_carries_few(kind) ->
         with rig.recording(0.3) as stretch:
             rig.wait(0.1)
             rig.drive.speed(rpm=900)
-            rig.wait(0.2)
+            with rig.drive.tuning(k_p_vt=900.0):
+                rig.wait(0.2)
+            with pytest.raises(BenchError, match="this one goes on: end it before the next"):
+                rig.record(0.01)
         step = stretch.capture
+        assert step.parameters["k_p_vt"] == 1268.0
+        assert [(change.name, change.value) for change in step.parameters.changes] == [
+            ("k_p_vt", 900.0), ("k_p_vt", 1268.0)
+        ]  # fmt: skip
         assert (step.samples.tick[0], step.samples.tick[-1]) == pytest.approx((stretch.first, stretch.last), abs=2500)
         assert step["omega_ref"][0] < step["omega_ref"][-1] if "omega_ref" in step else True
         assert not step.flaws()
