@@ -104,7 +104,7 @@ def main(args: list[str] | None = None) -> Any:
             sys.exit(error.exit_code)
         except click.UsageError as error:
             hint = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
-            fail(error.format_message().rstrip(".") + hint, error.exit_code)
+            fail(" ".join(error.format_message().split()).rstrip(".") + hint, error.exit_code)
         except click.ClickException as error:
             fail(error.format_message(), 2)
         except Interrupted as interrupt:

@@ -67,7 +67,7 @@ def command(target: str | None, yes: bool, overwrite: bool, **given: Any) -> Non
         echo(line)
     answers = Questions(seen, given, person).answers()
     write(FILE, text(seen, answers, f"{datetime.now():%Y-%m-%d %H:%M}"), str(FILE))
-    echo(f"{FILE} written: without TARGET, bench info, live, hall and accept now take {seen.target}")
+    echo(f"{FILE} written: commands without TARGET now take {seen.target}")
     if other := os.environ.get(VARIABLE):
         note(f"${VARIABLE} is set, and goes before it: {other}")
 

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-from click.shell_completion import CompletionItem
 
 from bench.cli.files import FILE, OR_STANDARD_OUTPUT, check_files, json_option, overwrite_option, write_json
 from bench.cli.number import Number
 from bench.cli.options import setting
 from bench.cli.streams import echo, note
-from bench.cli.target import TARGET, TargetType, target_argument
+from bench.cli.target import SourceType, target_argument
 from bench.errors import BenchError, ExitCode, UnsafeError
 from bench.files import STANDARD_OUTPUT, write
 from protocol.text import counted
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 _GROUPS = ("identity", "calibration", "tuning", "limits", "other")
+_SOURCE = SourceType((".toml", ".run"), ("defaults",))
 _SIM = (
     "the simulated drive exists only during this command: start one with `bench sim --store FILE`, and use its target"
 )
@@ -39,20 +39,6 @@ group_option = click.option("--group", "groups", metavar="NAME", type=click.Choi
                             help=f"Only parameters of this group: {', '.join(_GROUPS)}; repeatable.")  # fmt: skip
 reason_option = click.option("--reason", metavar="TEXT", default="", help="Why; kept with the change.")
 save_option = click.option("--save", is_flag=True, help="Then have the drive store all its parameters permanently.")
-
-
-class _SourceType(TargetType):
-    """A target, a dump, a recording, or `defaults`."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The string as it is."""
-        return str(value)
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Targets, `defaults`, and the dumps and recordings that are there."""
-        files = sorted(str(file) for end in ("*.toml", "*.run") for file in Path().glob(end))
-        more = [CompletionItem(name) for name in ("defaults", *files) if name.startswith(incomplete)]
-        return [*super().shell_complete(ctx, param, incomplete), *more]
 
 
 @click.group("param")
@@ -125,7 +111,7 @@ def list_(
 
 
 @command.command("get")
-@click.argument("target", type=TARGET)
+@target_argument()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @node_option
 @json_option("the values")
@@ -151,7 +137,7 @@ def get(target: str, names: tuple[str, ...], node: int | None, json_file: Path |
 
 
 @command.command("set")
-@click.argument("target", type=TARGET)
+@target_argument()
 @click.argument("settings", metavar="NAME=VALUE...", nargs=-1, required=True, type=setting)
 @reason_option
 @save_option
@@ -310,8 +296,8 @@ def _show(found: Differences, titles: tuple[str, str]) -> None:
 
 
 @command.command("diff")
-@click.argument("a", metavar="A", type=_SourceType())
-@click.argument("b", metavar="B", type=_SourceType())
+@click.argument("a", metavar="A", type=_SOURCE)
+@target_argument("b", _SOURCE, "[B]")
 @group_option
 @node_option
 @json_option("the differences")

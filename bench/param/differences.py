@@ -50,7 +50,7 @@ class Differences:
 
     def rows(self) -> list[list[str]]:
         """Name, both values and unit of each difference, as text."""
-        return [[d.name, shortest(d.a), shortest(d.b), d.unit] for d in self.values]
+        return [[d.name, shortest(d.a, True), shortest(d.b, True), d.unit] for d in self.values]
 
     def lines(self) -> list[str]:
         """What only one of both has, in words."""

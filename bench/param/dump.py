@@ -7,7 +7,6 @@ stands in a table of its own, and what does not last is left out.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import tomli_w
 
 from bench.errors import BenchError
+from bench.files import read_toml
 from bench.param.table import (
     GROUP_MEANINGS,
     GROUP_NAMES,
@@ -127,13 +127,7 @@ def _toml(value: Any) -> str:
 
 def read(path: Path) -> Dump:
     """Read a dump. BenchError, naming the file and what is wrong in it, for what is none."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        words = getattr(error, "strerror", None) or error
-        raise BenchError(f"cannot read {path}: {words}") from None
-    except RecursionError:
-        raise BenchError(f"cannot read {path}: it is nested too deeply") from None
+    data = read_toml(path, "dump")
     if not isinstance(data.get("parameters"), dict):
         raise BenchError(f"{path} is no dump of parameters: it has no table [parameters]")
     for key, value in data.items():

@@ -119,7 +119,7 @@ class Parameters(Mapping[str, float]):
     def entry(self, name: str) -> ParameterEntry:
         """What is known of one. BenchError, naming what is near, where there is none."""
         if name not in self.entries:
-            hint = did_you_mean(name, self.entries, f"it has {', '.join(self.entries) or 'none'}")
+            hint = did_you_mean(name, self.entries, f"it has {len(self)}, which bench param list shows")
             raise BenchError(f"{self.title} has no parameter '{name}': {hint}")
         return self.entries[name]
 
