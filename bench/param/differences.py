@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from bench.param.table import ParameterEntry, Parameters, same, shortest
-from protocol.signals import Flag
 
 
 class Difference(NamedTuple):
@@ -50,7 +49,7 @@ class Differences:
 
     def rows(self) -> list[list[str]]:
         """Name, both values and unit of each difference, as text."""
-        return [[d.name, shortest(d.a, True), shortest(d.b, True), d.unit] for d in self.values]
+        return [[d.name, shortest(d.a), shortest(d.b), d.unit] for d in self.values]
 
     def lines(self) -> list[str]:
         """What only one of both has, in words."""
@@ -65,7 +64,7 @@ def compare(
 
     `alike(name, a, b)`: whether two values that differ as float32 are still one to the device, because it rounds.
     """
-    volatile = {n for side in (a, b) for n, entry in side.entries.items() if entry.flags & Flag.VOLATILE}
+    volatile = {n for side in (a, b) for n, entry in side.entries.items() if not entry.lasts}
 
     def wanted(name: str) -> bool:
         known = a.entries.get(name) or b.entries[name]
