@@ -13,6 +13,7 @@ from typing import Any
 from uuid import uuid4
 
 from bench.errors import BenchError, RecordingError
+from protocol.text import printable
 
 STANDARD_OUTPUT = Path("-")
 RUN_LOG = "run.jsonl"
@@ -137,6 +138,20 @@ def part_of(path: Path) -> Path:
 def _real(path: Path) -> Path:
     """Behind all symbolic links, also where that file is not there yet; never raises, as `Path.resolve` does."""
     return Path(os.path.realpath(path))
+
+
+def read_toml(path: Path, what: str = "file") -> dict[str, Any]:
+    """Read a TOML file, in UTF-8 with or without its mark. BenchError, which calls it `what`, where it is none."""
+    import tomllib
+
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise BenchError(f"no {what} {path}") from None
+    except RecursionError:
+        raise BenchError(f"cannot read {path}: it is nested too deeply") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise BenchError(f"cannot read {path}: {printable(getattr(error, 'strerror', None) or str(error))}") from None
 
 
 def finite(value: Any, text: bool = False) -> Any:

@@ -14,7 +14,6 @@ the rest out. Nothing here runs or measures.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -24,7 +23,7 @@ import tomli_w
 
 from bench.accept.results import Measurement, RunResult, SpecUse
 from bench.errors import BenchError
-from bench.files import write
+from bench.files import read_toml, write
 from bench.rig.ratings import FLOAT32
 from bench.rig.settings import require_known
 from bench.signal.limits import RATED_CURRENT, RATED_SPEED, Limits
@@ -187,12 +186,7 @@ def read_spec(given: str) -> Spec:
             there = f"there are a file of yours, or the shipped {', '.join(names)}"
             raise BenchError(f"no spec '{given}': {did_you_mean(given, names, there)}")
         path = SHIPPED / f"{given}.toml"
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise BenchError(f"cannot read spec {path}: {printable(str(error))}") from None
-    except RecursionError:
-        raise BenchError(f"cannot read spec {path}: it is nested too deeply") from None
+    data = read_toml(path, "spec")
     known: dict[str, type] = {**HEAD, "parameters": dict, "measurements": dict}
     for key, value in data.items():
         if key not in known:

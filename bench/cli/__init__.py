@@ -25,7 +25,7 @@ _COMMANDS = {
     "capture": "Capture every PWM period around a trigger or a fault, on any link.",
     "view": "Open a recorded run, or part of it, in rerun.",
     "mark": "Mark a moment in a run while another terminal records it.",
-    "plot": "Draw the standard plots of a recorded run.",
+    "plot": "Draw the standard plots of a recorded run, or a motion profile.",
     "measure": "Measure between two cursors: means, extremes, slopes, frequencies.",
     "compare": "Compare two recorded runs: differences beyond noise.",
     "import": "Import recordings of other tools: CSV, VCD, sigrok, MDF 4, MATLAB, CAN",
@@ -104,7 +104,7 @@ def main(args: list[str] | None = None) -> Any:
             sys.exit(error.exit_code)
         except click.UsageError as error:
             hint = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
-            fail(error.format_message().rstrip(".") + hint, error.exit_code)
+            fail(" ".join(error.format_message().split()).rstrip(".") + hint, error.exit_code)
         except click.ClickException as error:
             fail(error.format_message(), 2)
         except Interrupted as interrupt:

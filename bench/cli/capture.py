@@ -14,7 +14,7 @@ from bench.cli.files import RUN, check_files, json_option, overwrite_option, wri
 from bench.cli.number import Number
 from bench.cli.options import channels_option, operator_option
 from bench.cli.streams import echo, note
-from bench.cli.target import target_argument
+from bench.cli.target import simulated_figures, target_argument
 from bench.files import STANDARD_OUTPUT
 from protocol.text import counted
 
@@ -93,7 +93,7 @@ def command(target: str, json_file: Path | None, overwrite: bool, **given: Any) 
     with ExitStack() as stack:
         stack.enter_context(signals_as_exceptions())
         if target == "sim":
-            target = stack.enter_context(EmbeddedDrive(note=note)).target
+            target = stack.enter_context(EmbeddedDrive(simulated_figures(target), note)).target
         screen = stack.enter_context(Progress())
         _act(stack.enter_context(listening(target, settings, screen)), wanted, given, overwrite, json_file)
 

@@ -16,7 +16,7 @@ from bench.cli.number import Number
 from bench.cli.options import operator_option, yes_option
 from bench.cli.output import Progress, table
 from bench.cli.streams import echo, note
-from bench.cli.target import target_argument
+from bench.cli.target import simulated_figures, target_argument
 from bench.conform.levels import DEFAULT_LEVEL, LEVELS
 from bench.conform.verdicts import WORDS
 from bench.files import STANDARD_OUTPUT, write
@@ -113,7 +113,7 @@ def _run(target: str, level: int, speed_rpm: float, yes: bool, quiet: bool) -> R
         if target == "sim":
             from bench.device.simulator import EmbeddedDrive
 
-            target = stack.enter_context(EmbeddedDrive(note=note)).target
+            target = stack.enter_context(EmbeddedDrive(simulated_figures(target), note)).target
         screen = stack.enter_context(Progress())
         shown = _Tables(screen, quiet)
         confirm = screen.confirm if sys.stdin.isatty() else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -11,14 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.shell_completion import CompletionItem
 
 from bench.cli import fail
 from bench.cli.files import FILE, RUN, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.number import Number
 from bench.cli.options import operator_option, part_options, yes_option
 from bench.cli.streams import echo, note
-from bench.cli.target import TargetType, simulated_figures, target_argument
+from bench.cli.target import SourceType, simulated_figures, target_argument
 from bench.errors import BenchError, ExitCode, Interrupted, OutputsMayBeOn
 from bench.files import STANDARD_OUTPUT, is_run, run_folder
 from bench.signal.verdict import Verdict
@@ -32,23 +30,10 @@ if TYPE_CHECKING:
     from bench.hall.tables import HallTable
 
 
-class _SourceType(TargetType):
-    """A target or a recording."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The string as it is."""
-        return str(value)
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Targets, and the recordings that are there."""
-        runs = sorted(glob.glob(glob.escape(incomplete) + "*.run"))
-        return [*super().shell_complete(ctx, param, incomplete), *map(CompletionItem, runs)]
-
-
 def _looking(function: Callable[..., None]) -> Callable[..., None]:
     """The argument and the options that both commands have."""
     for decorate in reversed((
-        target_argument("source", _SourceType(), "[TARGET|RUN]"),
+        target_argument("source", SourceType((".run",)), "[TARGET|RUN]"),
         click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0), default=240.0, show_default=True,
                      help="Highest speed, forward and reverse, r/min."),
         click.option("--current", "current_a", metavar="A", type=Number(above=0),
@@ -281,13 +266,10 @@ def _options(source: str, given: dict[str, Any], outputs: dict[str, Path | None]
     """Checked as far as that can be done before anything is opened."""
     from bench.hall.source import Options
 
-    if source == "sim":
-        given["config"] = simulated_figures(given["config"])
+    given["config"] = simulated_figures(source, given["config"])
     options = Options(source, **given)
     inputs = [source if options.recorded else None, options.config]
     check_files({"--save": options.save, **outputs}, options.overwrite, inputs, recordings=["--save"])
-    if options.config is not None and source != "sim":
-        raise click.UsageError(f"--config is for the simulated drive, not for {source}")
     if options.recorded and (options.save is not None or options.passive):
         raise click.UsageError(f"{source} is a recording: --save and --passive need a drive")
     if not options.recorded and (options.begin, options.end) != (None, None):

@@ -37,7 +37,7 @@ def command(target: str, json_file: Path | None, overwrite: bool) -> None:
         if target == "sim":
             from bench.device.simulator import EmbeddedDrive
 
-            target = stack.enter_context(EmbeddedDrive(simulated_figures(None), note)).target
+            target = stack.enter_context(EmbeddedDrive(simulated_figures(target), note)).target
         found = inspect_link(target)
     if json_file is not None:
         write_json(json_file, found)

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from bench.cli.files import check_files, overwrite_option
+from bench.cli.files import overwrite_option
 from bench.cli.number import Number
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
 from bench.errors import BenchError
+from bench.files import check_output, write
 
 if TYPE_CHECKING:
     from bench.init.search import Seen
@@ -55,8 +56,9 @@ def command(target: str | None, yes: bool, overwrite: bool, **given: Any) -> Non
     """
     if not yes and not sys.stdin.isatty():
         raise BenchError("bench init asks, and there is no terminal to answer: use --target TARGET --yes")
-    check_files({"bench init:": FILE}, overwrite)
-    from bench.files import write
+    if FILE.exists() and not overwrite:
+        raise BenchError(f"{FILE} exists: --overwrite replaces it")
+    check_output(FILE, str(FILE), overwrite=True)
     from bench.init.bench_file import described, text
     from bench.init.questions import Questions
     from bench.rig.connection import VARIABLE
@@ -67,7 +69,7 @@ def command(target: str | None, yes: bool, overwrite: bool, **given: Any) -> Non
         echo(line)
     answers = Questions(seen, given, person).answers()
     write(FILE, text(seen, answers, f"{datetime.now():%Y-%m-%d %H:%M}"), str(FILE))
-    echo(f"{FILE} written: without TARGET, bench info, live, hall and accept now take {seen.target}")
+    echo(f"{FILE} written: commands without TARGET now take {seen.target}")
     if other := os.environ.get(VARIABLE):
         note(f"${VARIABLE} is set, and goes before it: {other}")
 

@@ -99,8 +99,7 @@ def command(target: str | None, json_file: Path | None, config: Path | None, ope
       bench live sim --profile motion.toml --save a.run
     """
     _check(target, config, given)
-    if target in (None, "sim"):
-        config = simulated_figures(config)
+    config = simulated_figures(target, config)
     files = {"--save": given["save"], "--json": json_file}
     check_files(files, given["overwrite"], [config, given["profile_file"]], recordings=["--save"])
     if (file := given.pop("profile_file")) is not None:
@@ -158,8 +157,6 @@ def _run(
 
 def _check(target: str | None, config: Path | None, given: dict[str, Any]) -> None:
     """Raise UsageError for options that exclude each other."""
-    if config and target not in (None, "sim"):
-        raise click.UsageError(f"--config is for the simulated drive, not for {target}")
     asked = [of for of, name in (("--speed", "speed_rpm"), ("--load", "load_a")) if given[name] is not None]
     if given["profile_file"] is not None and asked:
         raise click.UsageError(f"--profile and {asked[0]} exclude each other: write it into the profile")

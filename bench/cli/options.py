@@ -35,15 +35,17 @@ def setting(value: Any) -> tuple[str, float]:
     return name.strip(), Number().convert(number.strip(), None, None)
 
 
-def _once(_context: click.Context, _parameter: click.Parameter, settings: tuple[tuple[str, float], ...]) -> Any:
+def once(_context: click.Context, parameter: click.Parameter, settings: tuple[tuple[str, float], ...]) -> Any:
+    """Callback: settings as a table; UsageError for a name that is given twice."""
     names = [name for name, _ in settings]
     if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
-        raise click.UsageError(f"--set {twice[0]} is given {names.count(twice[0])} times: give it once")
+        given = " ".join([*(parameter.opts if isinstance(parameter, click.Option) else ()), twice[0]])
+        raise click.UsageError(f"{given} is given {names.count(twice[0])} times: give it once")
     return dict(settings)
 
 
 settings_option = click.option(
-    "--set", "settings", metavar="NAME=VALUE", multiple=True, type=setting, callback=_once,
+    "--set", "settings", metavar="NAME=VALUE", multiple=True, type=setting, callback=once,
     help="Replace a drive parameter for the observers, such as k_p=900 or n_p=15; repeatable.",
 )  # fmt: skip
 

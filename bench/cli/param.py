@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-from click.shell_completion import CompletionItem
 
 from bench.cli.files import FILE, OR_STANDARD_OUTPUT, check_files, json_option, overwrite_option, write_json
 from bench.cli.number import Number
-from bench.cli.options import setting
+from bench.cli.options import once, setting
 from bench.cli.streams import echo, note
-from bench.cli.target import TARGET, TargetType, target_argument
+from bench.cli.target import SourceType, target_argument
 from bench.errors import BenchError, ExitCode, UnsafeError
 from bench.files import STANDARD_OUTPUT, write
+from bench.param.groups import GROUP_NAMES
 from protocol.text import counted
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-_GROUPS = ("identity", "calibration", "tuning", "limits", "other")
+_SOURCE = SourceType((".toml", ".run"), ("defaults",))
 _SIM = (
     "the simulated drive exists only during this command: start one with `bench sim --store FILE`, and use its target"
 )
@@ -35,24 +35,10 @@ _SIM = (
 node_option = click.option("--node", metavar="N", type=click.IntRange(1, 255),
                            help="Number of the device on the link, such as 2 for a load machine [default: the one "
                            "that answers].")  # fmt: skip
-group_option = click.option("--group", "groups", metavar="NAME", type=click.Choice(_GROUPS), multiple=True,
-                            help=f"Only parameters of this group: {', '.join(_GROUPS)}; repeatable.")  # fmt: skip
+group_option = click.option("--group", "groups", metavar="NAME", type=click.Choice(GROUP_NAMES), multiple=True,
+                            help=f"Only parameters of this group: {', '.join(GROUP_NAMES)}; repeatable.")  # fmt: skip
 reason_option = click.option("--reason", metavar="TEXT", default="", help="Why; kept with the change.")
 save_option = click.option("--save", is_flag=True, help="Then have the drive store all its parameters permanently.")
-
-
-class _SourceType(TargetType):
-    """A target, a dump, a recording, or `defaults`."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The string as it is."""
-        return str(value)
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Targets, `defaults`, and the dumps and recordings that are there."""
-        files = sorted(str(file) for end in ("*.toml", "*.run") for file in Path().glob(end))
-        more = [CompletionItem(name) for name in ("defaults", *files) if name.startswith(incomplete)]
-        return [*super().shell_complete(ctx, param, incomplete), *more]
 
 
 @click.group("param")
@@ -116,7 +102,7 @@ def list_(
     table(
         headers,
         [
-            [e.name, *(shortest(e.value, True), e.unit), *("" if v is None else shortest(v, True)
+            [e.name, *(shortest(e.value), e.unit), *("" if v is None else shortest(v)
              for v in (e.default, e.lo, e.hi)), e.group, ", ".join(flag_words(e.flags)), e.meaning]
             for e in entries
         ],
@@ -125,7 +111,7 @@ def list_(
 
 
 @command.command("get")
-@click.argument("target", type=TARGET)
+@target_argument()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @node_option
 @json_option("the values")
@@ -147,16 +133,16 @@ def get(target: str, names: tuple[str, ...], node: int | None, json_file: Path |
         write_json(json_file, {entry.name: entry.value for entry in entries})
     if json_file != STANDARD_OUTPUT:
         for entry in entries:
-            echo(f"{entry.name} = {shortest(entry.value, True)} {entry.unit}".rstrip())
+            echo(f"{entry.name} = {shortest(entry.value)} {entry.unit}".rstrip())
 
 
 @command.command("set")
-@click.argument("target", type=TARGET)
-@click.argument("settings", metavar="NAME=VALUE...", nargs=-1, required=True, type=setting)
+@target_argument()
+@click.argument("settings", metavar="NAME=VALUE...", nargs=-1, required=True, type=setting, callback=once)
 @reason_option
 @save_option
 @node_option
-def set_(target: str, settings: tuple[tuple[str, float], ...], reason: str, save: bool, node: int | None) -> None:
+def set_(target: str, settings: dict[str, float], reason: str, save: bool, node: int | None) -> None:
     """Set parameters, all or none: where the drive refuses one, the others get their old values again.
 
     Values are in the unit that bench param list shows. Without --save they last until the drive loses power.
@@ -168,14 +154,9 @@ def set_(target: str, settings: tuple[tuple[str, float], ...], reason: str, save
     """
     from bench.param.writing import Why, carry_out
 
-    wanted = dict(settings)
-    if len(wanted) < len(settings):
-        raise click.UsageError("a parameter is given twice: give each once")
     with _device(target, node, writes=True) as (device, parameters):
-        for name in wanted:
-            parameters.entry(name)
-        stored = carry_out(device, parameters, wanted, save, note, Why(reason, "set"))
-        _say_written(parameters, wanted, stored)
+        stored = carry_out(device, parameters, settings, save, note, Why(reason, "set"))
+        _say_written(parameters, settings, stored)
         if save:
             echo(f"node {device.number} stored its parameters")
 
@@ -186,8 +167,8 @@ def _say_written(parameters: Parameters, wanted: dict[str, float], stored: dict[
 
     for name, value in stored.items():
         unit = f" {parameters.entry(name).unit}".rstrip()
-        rounded = "" if same(value, wanted[name]) else f" (the drive rounds {shortest(wanted[name], True)})"
-        echo(f"{name}: {shortest(parameters[name], True)} -> {shortest(value, True)}{unit}{rounded}")
+        rounded = "" if same(value, wanted[name]) else f" (the drive rounds {shortest(wanted[name])})"
+        echo(f"{name}: {shortest(parameters[name])} -> {shortest(value)}{unit}{rounded}")
 
 
 @command.command("save")
@@ -236,7 +217,8 @@ def dump(target: str, out: Path, reason: str, node: int | None, overwrite: bool)
         note(f"{counted(known.damaged, 'line')} of {history.place(parameters.serial)} cannot be read")
     write(out, dumps.text(parameters, history.now(), history.who(), reason, reasons), f"--out {out}")
     if out != STANDARD_OUTPUT:
-        echo(f"{counted(len(parameters), 'parameter')} of {parameters.title}: {out}")
+        lasting = sum(entry.lasts for entry in parameters.entries.values())
+        echo(f"{counted(lasting, 'parameter')} of {parameters.title}: {out}")
 
 
 @command.command("load")
@@ -310,8 +292,8 @@ def _show(found: Differences, titles: tuple[str, str]) -> None:
 
 
 @command.command("diff")
-@click.argument("a", metavar="A", type=_SourceType())
-@click.argument("b", metavar="B", type=_SourceType())
+@click.argument("a", metavar="A", type=_SOURCE)
+@target_argument("b", _SOURCE, "[B]")
 @group_option
 @node_option
 @json_option("the differences")
@@ -376,5 +358,5 @@ def watch(target: str, duration: float | None, node: int | None) -> None:
         for change in watched(device, parameters, math.inf if duration is None else duration):
             about = "" if change.exact else "about "
             unit = f" {parameters.entry(change.name).unit}".rstrip()
-            before, value = shortest(change.before, True), shortest(change.value, True)
+            before, value = shortest(change.before), shortest(change.value)
             echo(f"{about}{change.seconds:.4f} s  {change.name}: {before} -> {value}{unit}")

@@ -12,7 +12,7 @@ from bench.cli.files import FILE, RUN, check_files, config_option, json_option, 
 from bench.cli.number import Number
 from bench.cli.options import operator_option, yes_option
 from bench.cli.streams import echo, note
-from bench.cli.target import TARGET
+from bench.cli.target import simulated_figures, target_argument
 from bench.errors import ExitCode
 from bench.files import STANDARD_OUTPUT
 
@@ -30,7 +30,7 @@ _NAMES = (
 
 
 @click.command("response")
-@click.argument("target", type=TARGET)
+@target_argument()
 @click.argument("loop", type=click.Choice(["current", "speed"]))
 @click.option("--to", "highest", metavar="HZ", type=Number(above=0),
               help="Highest frequency [default: current 2000 Hz, speed 100 Hz].")  # fmt: skip
@@ -78,6 +78,7 @@ def command(
       bench response sim current --phase-margin 45 --json response.json
     """
     files = {"--json": json_file, "--out": out, "--save": given["save"]}
+    given["config"] = simulated_figures(target, given["config"])
     check_files(files, overwrite, [given["config"]], recordings=["--save"])
     from bench.cli.output import Progress
     from bench.response.command import Options, respond

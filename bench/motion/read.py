@@ -14,13 +14,13 @@ steps = [
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError
+from bench.files import read_toml
 from bench.motion.profile import CURRENT, OF_DRIVE, OF_LOAD, UNITS, Profile, Sine, Step
 from bench.signal.sources import source_names, source_number
 from protocol.text import did_you_mean
@@ -45,13 +45,7 @@ def read_profile(source: Path | str | Mapping[str, Any]) -> Profile:
     if isinstance(source, Mapping):
         return profile_of(source, "the profile")
     path = Path(source)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise BenchError(f"no profile {path}") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BenchError(f"cannot read {path}: {error}") from None
-    return profile_of(data, str(path))
+    return profile_of(read_toml(path, "profile"), str(path))
 
 
 def profile_of(data: Mapping[str, Any], where: str) -> Profile:

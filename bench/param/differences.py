@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from bench.param.table import ParameterEntry, Parameters, same, shortest
-from protocol.signals import Flag
 
 
 class Difference(NamedTuple):
@@ -65,7 +64,7 @@ def compare(
 
     `alike(name, a, b)`: whether two values that differ as float32 are still one to the device, because it rounds.
     """
-    volatile = {n for side in (a, b) for n, entry in side.entries.items() if entry.flags & Flag.VOLATILE}
+    volatile = {n for side in (a, b) for n, entry in side.entries.items() if not entry.lasts}
 
     def wanted(name: str) -> bool:
         known = a.entries.get(name) or b.entries[name]

@@ -7,7 +7,6 @@ stands in a table of its own, and what does not last is left out.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,9 +15,9 @@ from typing import Any
 import tomli_w
 
 from bench.errors import BenchError
+from bench.files import read_toml
+from bench.param.groups import GROUP_MEANINGS, GROUP_NAMES
 from bench.param.table import (
-    GROUP_MEANINGS,
-    GROUP_NAMES,
     NO_FLAGS,
     ParameterEntry,
     Parameters,
@@ -75,7 +74,7 @@ def text(
         "[parameters]",
         *_grouped([entry for entry in entries if entry.loadable]),
     ]
-    read_only = [entry for entry in entries if entry.flags & Flag.READ_ONLY and not entry.flags & Flag.VOLATILE]
+    read_only = [entry for entry in entries if entry.lasts and not entry.loadable]
     if read_only:
         lines += ["", "[read_only]  # what the device tells and does not let one set", *_lines(read_only)]
     told = {entry.name: (reasons or {})[entry.name] for entry in entries if entry.name in (reasons or {})}
@@ -84,7 +83,7 @@ def text(
     for name, why in told.items():
         values = {"before": why.before, "value": why.value}
         said = {"when": why.when, "who": why.who, "reason": why.reason}
-        pairs = [f"{key} = {shortest(value)}" for key, value in values.items()]
+        pairs = [f"{key} = {shortest(value, point=True)}" for key, value in values.items()]
         pairs += [f"{key} = {_toml(value)}" for key, value in said.items()]
         lines.append(f"{_key(name)} = {{ {', '.join(pairs)} }}")
     return "\n".join(lines) + "\n"
@@ -100,7 +99,7 @@ def _grouped(entries: Sequence[ParameterEntry]) -> list[str]:
 
 def _lines(entries: Sequence[ParameterEntry]) -> list[str]:
     """One line for each parameter, with the comments below each other."""
-    pairs = [f"{_key(entry.name)} = {shortest(entry.value, bool(entry.flags & Flag.WHOLE))}" for entry in entries]
+    pairs = [f"{_key(entry.name)} = {shortest(entry.value, point=not entry.flags & Flag.WHOLE)}" for entry in entries]
     width = max(map(len, pairs), default=0)
     return [f"{pair.ljust(width)}  # {_comment(entry)}".rstrip() for pair, entry in zip(pairs, entries, strict=True)]
 
@@ -108,9 +107,9 @@ def _lines(entries: Sequence[ParameterEntry]) -> list[str]:
 def _comment(entry: ParameterEntry) -> str:
     words = [entry.unit] if entry.unit else []
     if entry.lo is not None and entry.hi is not None:
-        words.append(f"{shortest(entry.lo, True)} to {shortest(entry.hi, True)}")
+        words.append(f"{shortest(entry.lo)} to {shortest(entry.hi)}")
     if entry.default is not None:
-        words.append(f"default {shortest(entry.default, True)}")
+        words.append(f"default {shortest(entry.default)}")
     comment = ", ".join(words) + (f": {entry.meaning}" if entry.meaning else "")
     return printable(" ".join(comment.split()))
 
@@ -127,13 +126,7 @@ def _toml(value: Any) -> str:
 
 def read(path: Path) -> Dump:
     """Read a dump. BenchError, naming the file and what is wrong in it, for what is none."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        words = getattr(error, "strerror", None) or error
-        raise BenchError(f"cannot read {path}: {words}") from None
-    except RecursionError:
-        raise BenchError(f"cannot read {path}: it is nested too deeply") from None
+    data = read_toml(path, "dump")
     if not isinstance(data.get("parameters"), dict):
         raise BenchError(f"{path} is no dump of parameters: it has no table [parameters]")
     for key, value in data.items():

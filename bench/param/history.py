@@ -63,7 +63,7 @@ def place(serial: str) -> Path:
 
 
 def add(serial: str, changes: Iterable[Changed]) -> None:
-    """Keep changes of the device with this serial number. BenchError where the file cannot be written."""
+    """Keep changes that were made to the device with this serial number. BenchError where that cannot be written."""
     lines = "".join(json.dumps(asdict(change), allow_nan=False) + "\n" for change in changes)
     if not lines:
         return
@@ -77,7 +77,7 @@ def add(serial: str, changes: Iterable[Changed]) -> None:
         finally:
             os.close(descriptor)
     except OSError as error:
-        raise BenchError(f"the reason cannot be kept in {file}: {error.strerror}") from None
+        raise BenchError(f"the drive has the new values; why cannot be kept in {file}: {error.strerror}") from None
 
 
 @dataclass(frozen=True)

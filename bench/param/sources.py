@@ -17,7 +17,7 @@ from bench.param import dump
 from bench.param.table import ParameterEntry, Parameters, vocabulary
 from bench.rig.connection import SIM, open_target
 from bench.rig.lock import alone_on
-from bench.rig.settings import Settings
+from bench.rig.settings import Settings, read_settings
 from protocol.errors import NoReply, Refused
 
 DEFAULTS = "defaults"
@@ -30,10 +30,11 @@ def connected(target: str, number: int | None = None, writes: bool = False) -> I
     """The device of a target: number `number`, None: the one that answers. With `writes` nobody else of this computer
     uses it meanwhile, and it is waited for where it is lost.
 
-    Raises BenchError and HbpError where it cannot be had.
+    The simulated drive has the configuration of bench.toml. Raises BenchError and HbpError where it cannot be had.
     """
     with alone_on(*([target] if writes else [])):
-        link = open_target(target, Settings(), "parameters")
+        settings = Settings(config=read_settings(None).config) if target == SIM else Settings()
+        link = open_target(target, settings, "parameters")
         try:
             client = Client(link, RECONNECT if writes else 0.0)
             hello = client.connect()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.errors import BenchError
+from bench.param.groups import GROUPS, OTHER
 from protocol.codes import Role
 from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, Flag, Parameter
 from protocol.text import did_you_mean
@@ -16,24 +17,6 @@ from protocol.text import did_you_mean
 if TYPE_CHECKING:
     import pandas as pd
 
-GROUPS = {
-    Flag.IDENTITY: "identity",
-    Flag.CALIBRATION: "calibration",
-    Flag.TUNING: "tuning",
-    Flag.LIMITS: "limits",
-}
-"""A parameter's group by its flag, in the order in which groups are shown."""
-OTHER = "other"
-GROUP_NAMES = (*GROUPS.values(), OTHER)
-GROUP_MEANINGS = {
-    "identity": "which kind of motor this is",
-    "calibration": "this very motor, its sensors and their mounting",
-    "tuning": "gains, filters, choices",
-    "limits": "what protects",
-    "other": "without a group",
-}
-KEPT_OUT = Flag.READ_ONLY | Flag.VOLATILE
-"""Flags of parameters that are not written from a file."""
 NO_FLAGS = Flag(0)
 _FLAGS = (Flag.IDLE_ONLY, Flag.READ_ONLY, Flag.VOLATILE, Flag.WHOLE)
 
@@ -68,9 +51,14 @@ class ParameterEntry:
         return self.default is not None and not same(self.value, self.default)
 
     @property
+    def lasts(self) -> bool:
+        """Whether it stays as it is when the motor stops; what does not is in no dump and no difference."""
+        return not self.flags & Flag.VOLATILE
+
+    @property
     def loadable(self) -> bool:
         """Whether it can be written, and stays written."""
-        return not self.flags & KEPT_OUT
+        return self.lasts and not self.flags & Flag.READ_ONLY
 
     def as_json(self) -> dict[str, Any]:
         """It as plain data."""
@@ -119,7 +107,7 @@ class Parameters(Mapping[str, float]):
     def entry(self, name: str) -> ParameterEntry:
         """What is known of one. BenchError, naming what is near, where there is none."""
         if name not in self.entries:
-            hint = did_you_mean(name, self.entries, f"it has {', '.join(self.entries) or 'none'}")
+            hint = did_you_mean(name, self.entries, f"it has {len(self)}, which bench param list shows")
             raise BenchError(f"{self.title} has no parameter '{name}': {hint}")
         return self.entries[name]
 
@@ -150,9 +138,9 @@ def same(a: float, b: float) -> bool:
     return bool(one == other or np.nextafter(one, other) == other)
 
 
-def shortest(value: float, whole: bool = False) -> str:
-    """The shortest decimal that is this float32, as TOML has numbers; of a whole one without a point."""
+def shortest(value: float, point: bool = False) -> str:
+    """The shortest decimal that is this float32; with `point` as TOML has floats, so 900.0 in the place of 900."""
     text = str(np.float32(value))
     if np.float32(float(text)) != np.float32(value):  # twice rounded
         text = repr(float(value))
-    return text.removesuffix(".0") if whole else text
+    return text if point else text.removesuffix(".0")

@@ -53,7 +53,7 @@ def _refused(entry: ParameterEntry, value: float) -> str:
         return f"{name} must be a whole number, got {shortest(value)}"
     if entry.lo is None or entry.hi is None or entry.lo <= _within(entry, value) <= entry.hi:
         return ""
-    return f"{name} must be {shortest(entry.lo, True)} to {shortest(entry.hi, True)}{unit}, got {shortest(value, True)}"
+    return f"{name} must be {shortest(entry.lo)} to {shortest(entry.hi)}{unit}, got {shortest(value)}"
 
 
 def write(node: Node, before: Parameters, wanted: Mapping[str, float]) -> dict[str, float]:

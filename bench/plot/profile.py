@@ -69,7 +69,8 @@ def words(profile: Profile) -> str:
     """What it is, in a line."""
     told = [f"{profile.seconds:g} s", counted(len(profile.acts), "step")]
     for name, (_, values) in points(profile).items():
-        told.append(f"{_label(name)} {np.nanmin(values):.4g} … {np.nanmax(values):.4g} {UNITS[name]}")
+        ends = dict.fromkeys(f"{end:.4g}" for end in (np.nanmin(values), np.nanmax(values)))
+        told.append(f"{_label(name)} {' … '.join(ends)} {UNITS[name]}")
     return ", ".join(told)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bench.errors import BenchError
-from bench.response.experiment import NEED, Asked, Measured, channels, measure
+from bench.response.experiment import NEED, PERIODS, Asked, Measured, channels, measure
 from bench.response.loops import CURRENT, LOOPS
 from bench.rig.connection import SIM, open_target
 from bench.rig.consent import at_most, check_limits, require_consent
@@ -41,7 +41,7 @@ class Options:
     current_a: float | None = None
     speed_rpm: float | None = None
     observer: str | None = None
-    periods: int = 8
+    periods: int = PERIODS
     save: Path | None = None
     overwrite: bool = False
     yes: bool = False

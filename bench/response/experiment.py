@@ -167,9 +167,9 @@ def _remarks(capture: Capture, loop: Loop, n: int) -> Iterator[str]:
         size = np.hypot(capture["u_alpha"][-n:], capture["u_beta"][-n:])
         share = float(np.mean(size > AT_LIMIT * capture["u_dc"][-n:] / math.sqrt(3.0)))
         if share > SELDOM:
-            yield f"the voltage was at its limit in {100 * share:.2g} % of the time: use a smaller amplitude or speed"
+            yield f"the voltage was at its limit in {100 * share:.3g} % of the time: use a smaller amplitude or speed"
     i_max = capture.parameters.get("i_max")
     if loop is SPEED and i_max and "i_q_ref" in names:
         share = float(np.mean(np.abs(capture["i_q_ref"][-n:]) > AT_LIMIT * i_max))
         if share > SELDOM:
-            yield f"the current was at its limit in {100 * share:.2g} % of the time: use a smaller amplitude"
+            yield f"the current was at its limit in {100 * share:.3g} % of the time: use a smaller amplitude"

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -26,6 +25,7 @@ from typing import Any
 
 from bench.device.simulator import configuration
 from bench.errors import BenchError
+from bench.files import read_toml
 from bench.rig.settings import read_limits
 from bench.signal.limits import Limits
 from bench.study.sampling import SAMPLINGS, SOBOL, Points, noise_seed
@@ -143,7 +143,9 @@ def _varied(one: Mapping[str, Any]) -> Varied:
 
 def read_study(path: Path, **instead: Any) -> Study:
     """Read a study's TOML; `instead`: keys of its top that are given elsewhere. BenchError for what cannot be done."""
-    return study_of(read_toml(path) | {key: value for key, value in instead.items() if value is not None}, path)
+    return study_of(
+        read_toml(path, "study") | {key: value for key, value in instead.items() if value is not None}, path
+    )
 
 
 def study_of(data: Mapping[str, Any], path: Path) -> Study:
@@ -183,16 +185,6 @@ def study_of(data: Mapping[str, Any], path: Path) -> Study:
     if len(study) > MOST:
         raise BenchError(f"{where} has {len(study)} rows, more than {MOST}")
     return study
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a file. BenchError where it is no TOML."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise BenchError(f"no study {path}") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BenchError(f"cannot read {path}: {error}") from None
 
 
 def _require(value: Any, kind: Any, key: str, where: str) -> None:

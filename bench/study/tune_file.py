@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError
+from bench.files import read_toml
 from bench.study.experiments import course, limits_of, tests_of
 from bench.study.objectives import (
     F64,
@@ -30,7 +31,7 @@ from bench.study.objectives import (
 )
 from bench.study.search import Trial, batch_of
 from bench.study.statistics import Estimate
-from bench.study.study import FUNCTION, TURN, Study, config_of, read_toml, study_of
+from bench.study.study import FUNCTION, TURN, Study, config_of, study_of
 from bench.study.worker import identity
 from protocol.text import did_you_mean
 from sim.ports.direct import measured_by, nominal
@@ -117,7 +118,7 @@ def _base(study: Study | None) -> Mapping[str, Any]:
 
 def read_tune(path: Path, trials: int | None = None) -> Plan:
     """Read the TOML of a tune. BenchError for what cannot be done."""
-    data, where = read_toml(path), str(path)
+    data, where = read_toml(path, "tune file"), str(path)
     given = data.pop("tune", None)
     if not isinstance(given, dict):
         raise BenchError(f"{where} has no [tune]: it is a study, for bench study run")

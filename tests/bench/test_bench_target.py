@@ -21,13 +21,14 @@ NOWHERE = "serial:/dev/nowhere"
 WITHOUT = {
     "info": "", "live": "--viewer none", "hall check": "--passive", "hall learn": "", "conform": "",
     "protocol dbc": "", "accept": "-k test_stop --yes", "capture": "--trigger now -o a.run", "param list": "",
-    "param save": "", "param dump": "", "param watch": "--duration 1",
+    "param save": "", "param dump": "", "param watch": "--duration 1", "param get": "k_p_vt n_p",
+    "param set": "k_p_vt=900.5 k_i_vt=-2e-3", "param load": "a.toml", "param diff": "a.toml", "response": "current",
 }  # fmt: skip
-"""Each command that may be given no target, and what it is given instead."""
+"""Each command that may be given no target, and what it is given besides."""
+AFTER = {"param get", "param set", "response"}
+"""Those whose target stands before what else they are given; all others have it at the end."""
 OTHERWISE = {"live": "the show", "accept": "sim"}
 """Those that have something to do where nobody names one."""
-NAMED = {"param diff", "param get", "param set", "param load", "response"}
-"""What else these are given would be taken for a target, or is a file that has to be there."""
 LISTS = {"devices"}
 """Without a target it lists what there is, whatever the bench's is."""
 
@@ -36,6 +37,7 @@ LISTS = {"devices"}
 def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("BENCH_TARGET", raising=False)
+    Path("a.toml").write_text("[parameters]\nk_p_vt = 900.0\n")
 
 
 def commands(group: click.Group, context: click.Context, before: str = "") -> Iterator[tuple[str, click.Command]]:
@@ -48,9 +50,11 @@ def commands(group: click.Group, context: click.Context, before: str = "") -> It
             yield before + name, command
 
 
-def failing(capsys: pytest.CaptureFixture[str], name: str, *more: str) -> list[str]:
+def failing(capsys: pytest.CaptureFixture[str], name: str, *target: str) -> list[str]:
     """What the command says on standard error; it moves nothing and ends with 2."""
-    _, err = said(capsys, *name.split(), *shlex.split(WITHOUT[name]), *more, code=2)
+    besides = shlex.split(WITHOUT[name])
+    given = [*target, *besides] if name in AFTER else [*besides, *target]
+    _, err = said(capsys, *name.split(), *given, code=2)
     assert "Traceback" not in err
     return err.splitlines()
 
@@ -62,7 +66,7 @@ def test_these_are_all_commands_that_have_a_target() -> None:
         for name, command in commands(cli, click.Context(cli))
         if any(isinstance(p.type, TargetType) for p in command.params if isinstance(p, click.Argument))
     }
-    assert having == WITHOUT.keys() | LISTS | NAMED
+    assert having == WITHOUT.keys() | LISTS
 
 
 @pytest.mark.parametrize("name", WITHOUT)
@@ -80,6 +84,45 @@ def test_a_command_takes_the_target_of_the_bench_and_says_so(name: str, capsys, 
     lines = failing(capsys, name, f"{NOWHERE}3")
     assert "/dev/nowhere3" in lines[-1]
     assert not any(line.startswith("target: ") for line in lines)
+
+
+@pytest.mark.parametrize("target", ["serial:/dev/nowhere?baud=9600", "tcp:x=y:1", "usb:1", "/dev/nowhere", "a.run"])
+@pytest.mark.parametrize("name", sorted(AFTER))
+def test_a_first_word_in_the_form_of_a_target_is_one(name: str, target: str, capsys) -> None:
+    """Also one that cannot be used, with a sign = in it, or that is misspelt: the bench's is not taken for it."""
+    Path("bench.toml").write_text('target = "serial:/dev/other"\n')
+    lines = failing(capsys, name, target)
+    assert not any("/dev/other" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("param get", "Missing argument 'NAME...'"),
+        ("param get sim", "Missing argument 'NAME...'"),
+        ("param set sim", "Missing argument 'NAME=VALUE...'"),
+        ("param set k_p_vt", "'k_p_vt' is not NAME=VALUE"),
+        ("response", "Missing argument '{current|speed}'. Choose from: current, speed"),
+        ("response sim", "Missing argument '{current|speed}'. Choose from: current, speed"),
+        ("response torque", "'torque' is not one of 'current', 'speed'"),
+        ("response ttyACM0 current", "unknown target 'ttyACM0'"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_told_in_one_line(words: str, says: str, capsys) -> None:
+    Path("bench.toml").write_text(f'target = "{NOWHERE}"\n')
+    *_, last = said(capsys, *words.split(), code=2)[1].splitlines()
+    assert (says in last, "\\n" in last) == (True, False)
+
+
+@pytest.mark.parametrize(("words", "offered"), [("response", {"sim", "current", "speed"}), ("response sim", {"speed"})])
+def test_completion_offers_what_may_stand_in_the_place_of_a_target(
+    words: str, offered: set, capsys, monkeypatch
+) -> None:
+    count = len(words.split()) + 1
+    for name, value in {"COMPLETE": "bash_complete", "WORDS": f"bench {words} ", "CWORD": str(count)}.items():
+        monkeypatch.setenv(f"{'_BENCH_' if name == 'COMPLETE' else 'COMP_'}{name}", value)
+    out, _ = said(capsys)
+    assert offered <= {line.partition(",")[2] for line in out.splitlines()}
 
 
 @pytest.mark.parametrize("name", sorted(WITHOUT.keys() - OTHERWISE.keys()))
@@ -157,6 +200,9 @@ def test_the_simulated_drive_is_the_one_that_the_file_describes(capsys: pytest.C
     Path("bench.toml").write_text('target = "sim"\nconfig = "bench-motor.toml"\n')
     info = json.loads(said(capsys, "info", "--json")[0])
     assert {p["name"]: p["value"] for p in info["nodes"][0]["parameters"]}["i_max"] == 3.5
+    assert said(capsys, "param", "get", "i_max")[0] == "i_max = 3.5 A\n"
+    said(capsys, "response", "current", "--from", "400", "--save", "loop.run")
+    assert Run("loop.run").info.parameters["i_max"] == 3.5
     said(capsys, "hall", "check", "--speed", "480", "--save", "a.run", "--config", "other-motor.toml")
     told = Run("a.run").info.identity["configuration"]
     assert told == {"file": "other-motor.toml", "firmware.i_max": 2.5}

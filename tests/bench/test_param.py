@@ -154,7 +154,7 @@ def test_set_writes_all_and_keeps_why(bench) -> None:
     (("k_p_vt=900", "i_range=5"), "i_range can only be read"),
     (("k_p_vt=900", "n_p=2.5"), "n_p must be a whole number, got 2.5"),
     (("k_p_vt=900", "k_i=3"), "has no parameter 'k_i'"),
-    (("k_p_vt=900", "k_p_vt=800"), "given twice"),
+    (("k_p_vt=900", "k_p_vt=800"), "k_p_vt is given 2 times: give it once"),
     (("k_p_vt=nan",), "'nan' is not a finite number"),
     (("k_p_vt",), "is not NAME=VALUE"),
 ])  # fmt: skip
@@ -407,6 +407,18 @@ def test_a_drive_without_a_serial_number_keeps_no_reason_and_says_so(bench) -> N
     assert "no serial number: the reason is not kept" in err
 
 
+def test_a_reason_that_cannot_be_kept_is_an_error_that_says_that_the_drive_has_the_values(
+    bench, tmp_path: Path
+) -> None:
+    (tmp_path / "kept").write_text("a file, where the folder should be")
+    made = device()
+    with reached(a=made) as target:
+        code, _, err = bench("param", "set", target["a"], "k_p_vt=900")
+    assert code == 2
+    assert "error: the drive has the new values; why cannot be kept in " in err
+    assert made.drive.app.get_param("k_p_vt") == 900.0
+
+
 @pytest.mark.parametrize(("text", "words"), [
     ("", "it has no table [parameters]"),
     ("[parameters", "cannot read"),
@@ -440,7 +452,7 @@ def test_runs_are_compared_with_each_other_and_with_a_drive(bench, drive_run: Pa
         code, out, _ = bench("param", "diff", target["a"], drive_run)
     assert code == 1
     assert [line.split()[:3] for line in out.splitlines() if line.startswith("k_p_vt")] == [
-        ["k_p_vt", "900.0", shortest(recorded["k_p_vt"])]
+        ["k_p_vt", "900", shortest(recorded["k_p_vt"])]
     ]
 
 
