@@ -23,7 +23,6 @@ from bench.conform.captured import (
     give_up,
     place_of,
     require_capture,
-    some_records,
     status,
     taken,
 )
@@ -34,7 +33,7 @@ from bench.conform.levels import STREAMS
 from bench.conform.probe import accepted, read, refusal
 from bench.conform.streams import absent
 from bench.conform.verdicts import Failed, Unknown
-from protocol.codes import CaptureState, CaptureTrigger, ErrorCode, EventCode, MessageType
+from protocol.codes import CaptureState, CaptureTrigger, ErrorCode, EventCode, Feature, MessageType
 from protocol.descriptor import Channel
 from protocol.messages import BlobRead, CaptureArm, CaptureReply
 
@@ -54,8 +53,6 @@ OFTEN = 4  # captures of it
 KINDS = (
     CaptureTrigger.ABOVE, CaptureTrigger.BELOW, CaptureTrigger.RISES, CaptureTrigger.FALLS, CaptureTrigger.CHANGES
 )  # fmt: skip
-
-
 BY_TWO = (CaptureTrigger.RISES, CaptureTrigger.FALLS, CaptureTrigger.CHANGES)
 """Conditions that compare with the period before."""
 
@@ -108,7 +105,7 @@ def _wrong(device: Device) -> list[tuple[str, dict[str, object], ErrorCode, floa
         (f"channel {first.id} twice", {"channels": (first.id, first.id)}, ErrorCode.BAD_VALUE, first.id),
         (f"the trigger's channel {other}", {"trigger": by_channel, "channel": other}, ErrorCode.UNKNOWN_ID, other),
     ]
-    if not device.offers_edges:
+    if not device.offers(Feature.EDGES):
         rows.append(("a trigger of edges", {"trigger": CaptureTrigger.PULSE}, ErrorCode.NOT_SUPPORTED, 10))
     many: dict[str, object] = {"before": fits, "after": 1, "edges": edges}
     rows.append((f"{fits + 1} records beside {edges} edges", many, ErrorCode.DOES_NOT_FIT, float(np.float32(fits))))
@@ -125,7 +122,7 @@ def arm_refusals(device: Device) -> Iterator[str]:
         yield refusal(arm(device, replace(plain, **wrong)), code, detail, words)  # type: ignore[arg-type]
     huge = replace(plain, level=-math.inf)
     yield refusal(arm(device, huge), ErrorCode.BAD_VALUE, -math.inf, "level -inf")
-    if device.offers_edges:
+    if device.offers(Feature.EDGES):
         edges = replace(plain, trigger=CaptureTrigger.ILLEGAL, before=0xFFFFFFFF)
         yield refusal(arm(device, edges), ErrorCode.DOES_NOT_FIT, None, "2^32 records until an illegal edge")
     if (now := status(device)) != before:
@@ -221,8 +218,7 @@ def as_streamed(device: Device) -> Iterator[str]:
         if not between(began, reply.tick, device.probe.tick()[1]):
             raise Failed(f"the trigger's record has tick {reply.tick}, the request came at {began}")
         yield _same(found, samples, chosen)
-        device.probe.heard.clear()
-        device.probe.stream_frames.clear()
+        device.probe.forget()
 
 
 def _dense(decimation: int, records: int) -> int:
@@ -259,8 +255,7 @@ def held(device: Device) -> Iterator[str]:
     require_capture(device)
     chosen = device.channels[:2]
     request = CaptureArm(CaptureTrigger.NOW, 0, 1, 0, fitting_records(device, chosen, 60), channels=ids(chosen))
-    armed(device, request)
-    told = frozen(device, request)
+    told = frozen(device, armed(device, request))
     found = taken(device, told)
     yield refusal(arm(device, request), ErrorCode.BUSY, told.number, "CAPTURE_ARM in FROZEN")
     wrong = replace(request, decimation=0, channels=())
@@ -288,9 +283,9 @@ def told_when_frozen(device: Device) -> str:
     for _ in range(2):  # a device may drop one event
         since = len(device.events(EventCode.CAPTURED))
         request = CaptureArm(CaptureTrigger.NOW, 0, 1, 0, fitting_records(device, chosen), channels=ids(chosen))
-        number = armed(device, request).number
+        number = (begun := armed(device, request)).number
         try:
-            frozen(device, request)
+            frozen(device, begun)
         except Unknown as late:
             raise Failed(str(late)) from None
         device.fresh()
@@ -306,9 +301,15 @@ def told_when_frozen(device: Device) -> str:
 # -- triggers by a channel --------------------------------------------------------------------------------------------
 
 
+def _at_rest(device: Device) -> Captured:
+    """Consecutive periods of the channels that a stream can carry beside."""
+    chosen = few(device)
+    return captured(device, CaptureArm(CaptureTrigger.NOW, after=fitting_records(device, chosen), channels=ids(chosen)))
+
+
 def _moving(device: Device) -> tuple[Channel, NDArray[np.float64]]:
     """The channel that changes most at rest, and its values in consecutive periods. Raises Unknown."""
-    found = some_records(device)
+    found = device.once("capture", lambda: _at_rest(device))
     values = {channel: found.values(channel) for channel in found.channels}
     best = max(values, key=lambda channel: len(np.unique(values[channel])))
     if len(np.unique(values[best])) < 3:
