@@ -98,7 +98,7 @@ def _wrong(device: Device) -> list[tuple[str, dict[str, object], ErrorCode, floa
     rows: list[tuple[str, dict[str, object], ErrorCode, float]] = [
         ("trigger 11", {"trigger": 11}, ErrorCode.BAD_VALUE, 11),
         ("decimation 0", {"decimation": 0}, ErrorCode.BAD_VALUE, 0),
-        ("after 0", {"after": 0}, ErrorCode.BAD_VALUE, 0),
+        ("after 0", {"before": 1, "after": 0}, ErrorCode.BAD_VALUE, 0),
         ("level NaN", {"level": math.nan}, ErrorCode.BAD_VALUE, math.nan),
         ("no channels", {"channels": ()}, ErrorCode.BAD_VALUE, 0),
         (f"channel {other}", {"channels": (first.id, other)}, ErrorCode.UNKNOWN_ID, other),
