@@ -1,4 +1,4 @@
-"""Level 2, fourth part: means of the period, beside every period. 11.51 of SPEC."""
+"""Level 2, fifth part: means of the period, beside every period. 11.51 of SPEC."""
 
 from __future__ import annotations
 
