@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from bench.conform.blobs import WAVEFORM, write
 from bench.conform.captured import physical
 from bench.conform.checks import Group
+from bench.conform.commissioned import blind, put, require, restored, run_at_zero_volts, value_of
 from bench.conform.data import by_index, split_sample
 from bench.conform.device import ALL, Configured, Device, ids, require_granted
 from bench.conform.levels import STATES
@@ -23,7 +23,7 @@ from bench.conform.setpoints import is_taken, rejected
 from bench.conform.verdicts import Failed, NotApplicable, Unknown
 from protocol.codes import DriveState, ErrorCode, EventCode, Fault, Feature, SetpointMode, TestSignal
 from protocol.descriptor import Channel
-from protocol.signals import AngleSource, Flag, Status
+from protocol.signals import Flag, Status
 
 check = Group("commission", STATES)
 
@@ -39,44 +39,10 @@ SPEED_ERROR = 0.02  # share
 AT_REST = 2 * math.pi  # rad/s, largest speed towards the forced angle
 CYCLES = ((37, 0, 74), (11, 5, 55))
 """test_periods, test_length, and the periods of a cycle of both."""
-FEW = 20  # VOLTAGEs of zero until one is near enough to what the current loop gives
 TURNED, STILL = 1.0, 0.05  # rad by which encoder_zero is changed, and by which a shaft at rest may move
 TINY = 1e-6  # A²s
 TRIPS = 1.0  # s in which the noise of a current sensor makes that
 SURE = 10.0  # times that, with which it must have tripped
-
-
-def require(device: Device, name: str) -> Channel:
-    """A parameter of commissioning. Raises NotApplicable without the feature, Unknown where it is not there."""
-    device.require(Feature.COMMISSION)
-    record = device.named(name)
-    if record is None:
-        raise Unknown(f"there is no parameter {name}: see parameter.of-commissioning")
-    return record
-
-
-@contextmanager
-def restored(device: Device, *names: str) -> Iterator[None]:
-    """Parameters that are as before afterwards, at rest."""
-    before = [(record := require(device, name), device.parameter(record).value) for name in names]
-    try:
-        yield
-    finally:
-        try:
-            device.rest()
-        finally:
-            for record, value in reversed(before):
-                device.put_back(record, value)
-
-
-def put(device: Device, name: str, value: float) -> None:
-    """Set a parameter. Raises Unknown where it is refused."""
-    require_granted(device.set(require(device, name), value), f"{name} = {value:g}")
-
-
-def value_of(device: Device, name: str) -> float:
-    """A parameter's value. Raises Unknown."""
-    return device.parameter(require(device, name)).value
 
 
 @check("limits", "20.15 20.8")
@@ -167,25 +133,6 @@ def volatile(device: Device) -> Iterator[str]:
             raise Failed(f"after {what} {len(moved)} parameters changed, and no EVENT PARAM_CHANGED was received")
         device.rest()
         yield f"after {what} {len(passing)} parameters are at their defaults, {len(moved)} of them were not"
-
-
-@contextmanager
-def blind(device: Device) -> Iterator[None]:
-    """The angle source is not the encoder. Raises Unknown where there is no other."""
-    record = device.named("observer")
-    if record is None:
-        yield
-        return
-    before = device.parameter(record)
-    try:
-        if before.value == AngleSource.ENCODER:
-            require_granted(device.set(record, max(before.lo, 1.0)), "observer = 1")
-        yield
-    finally:
-        try:
-            device.rest()
-        finally:
-            device.put_back(record, before.value)
 
 
 @check("angle-needed", "20.10 20.4 8.4 20.9")
@@ -304,14 +251,6 @@ def test_cycle(device: Device) -> Iterator[str]:
         if apart != {cycle}:
             raise Failed(f"{words}, {sorted(apart) or 'none'} periods apart, not {cycle}")
         yield f"{words}, {cycle} periods apart"
-
-
-def run_at_zero_volts(device: Device) -> None:
-    """RUNNING with a forced angle, in VOLTAGE 0. Raises Unknown."""
-    device.run()
-    put(device, "forced", 1.0)
-    if not any(is_taken(device, SetpointMode.VOLTAGE, 0x0100 + n) for n in range(FEW)):
-        raise Unknown(f"VOLTAGE 0 was not accepted, u_test_max is {value_of(device, 'u_test_max'):.3g} V")
 
 
 @check("protects", "20.1")

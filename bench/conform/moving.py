@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from bench.conform.captured import Captured, captured, require_capture, status
 from bench.conform.checks import Group
-from bench.conform.commission import put, require, restored, run_at_zero_volts, value_of
+from bench.conform.commissioned import put, require, restored, run_at_zero_volts, value_of
 from bench.conform.data import signed
 from bench.conform.device import EDGE_BYTES, Configured, Device, ids, width
 from bench.conform.levels import MOTION
