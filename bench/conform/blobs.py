@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from bench.conform.checks import Group
 from bench.conform.device import Device
 from bench.conform.levels import IDENTITY
-from bench.conform.probe import accepted, refusal
+from bench.conform.probe import Answer, accepted, refusal
 from bench.conform.verdicts import Failed
 from protocol.codes import ErrorCode, Feature, MessageType
-from protocol.messages import BlobRead, BlobWrite
+from protocol.messages import BlobRead, BlobReply, BlobWrite
 
 check = Group("blob", IDENTITY)
 
@@ -56,9 +56,9 @@ def meanings(device: Device) -> str:
     return f"{len(seen)} of {len(names)} names are explained, in {len(blob)} bytes"
 
 
-def written(blob: int, offset: int, data: bytes) -> bytes:
-    """The payload of a BLOB_WRITE."""
-    return BlobWrite(blob, len(data), offset, data).pack()
+def write(device: Device, blob: int, offset: int, data: bytes) -> Answer:
+    """Send a BLOB_WRITE."""
+    return device.probe.ask(MessageType.BLOB_WRITE, BlobWrite(blob, len(data), offset, data).pack())
 
 
 @check("waveform", "20.13 5.20 5.21 5.23")
@@ -73,15 +73,15 @@ def waveform(device: Device) -> str:
         for place in places:
             data = bytes(byte ^ 0x5A for byte in due[place : place + LONG])
             due[place : place + LONG] = data
-            answer = device.probe.ask(MessageType.BLOB_WRITE, written(WAVEFORM, place, data))
+            answer = write(device, WAVEFORM, place, data)
             words = accepted(answer, f"BLOB_WRITE of {LONG} bytes at {place}")
             if answer.frame.payload:
                 raise Failed(f"{words} with {len(answer.frame.payload)} bytes")
-        accepted(device.probe.ask(MessageType.BLOB_WRITE, written(WAVEFORM, len(before), b"")), "BLOB_WRITE of none")
+        accepted(write(device, WAVEFORM, len(before), b""), "BLOB_WRITE of none")
         now = device.read_blob(WAVEFORM)
     finally:
         for place in places:
-            device.probe.ask(MessageType.BLOB_WRITE, written(WAVEFORM, place, before[place : place + LONG]))
+            write(device, WAVEFORM, place, before[place : place + LONG])
     wrong = [at for at, (one, other) in enumerate(zip(now, due, strict=False)) if one != other]
     if len(now) != len(due) or wrong:
         where = (
@@ -95,7 +95,8 @@ def waveform(device: Device) -> str:
 def write_refusals(device: Device) -> Iterator[str]:
     """Each error in BLOB_WRITE is refused with its code and detail, the first of several, and nothing is written."""
     device.require(Feature.WAVEFORM)
-    before, total = device.read_blob(WAVEFORM), len(device.read_blob(WAVEFORM))
+    before = device.read_blob(WAVEFORM)
+    total = len(before)
     other = bytes(byte ^ 0xFF for byte in before[-8:])
     rows = [
         (NO_BLOB, 0, other, ErrorCode.UNKNOWN_ID, NO_BLOB), (255, 0xFFFFFFFF, other, ErrorCode.UNKNOWN_ID, 255),
@@ -109,7 +110,7 @@ def write_refusals(device: Device) -> Iterator[str]:
         rows.append((MEANINGS, 0, other, ErrorCode.READ_ONLY, MEANINGS))
     for blob, offset, data, code, detail in rows:
         words = f"BLOB_WRITE of {len(data)} bytes at {offset} of blob {blob}"
-        yield refusal(device.probe.ask(MessageType.BLOB_WRITE, written(blob, offset, data)), code, detail, words)
+        yield refusal(write(device, blob, offset, data), code, detail, words)
     if device.read_blob(WAVEFORM) != before:
         raise Failed("BLOB_WRITE was refused, but blob 4 has changed")
 
@@ -120,14 +121,14 @@ def write_once(device: Device) -> str:
     device.require(Feature.WAVEFORM)
     probe, before = device.probe, device.read_blob(WAVEFORM)[:2]
     (value,) = struct.unpack("<H", before)
-    first = probe.frame(MessageType.BLOB_WRITE, written(WAVEFORM, 0, struct.pack("<H", value ^ 0xFFFF)))
+    other = BlobWrite(WAVEFORM, 2, 0, struct.pack("<H", value ^ 0xFFFF))
+    first = probe.frame(MessageType.BLOB_WRITE, other.pack())
     try:
         accepted(probe.ask_frame(first), "BLOB_WRITE")
-        accepted(probe.ask(MessageType.BLOB_WRITE, written(WAVEFORM, 0, before)), "BLOB_WRITE")
+        accepted(write(device, WAVEFORM, 0, before), "BLOB_WRITE")
         accepted(probe.ask_frame(first), "BLOB_WRITE, repeated")
-        now = device.probe.ask(MessageType.BLOB_READ, BlobRead(WAVEFORM, 2, 0).pack()).frame.payload[-2:]
-        if now != before:
+        if probe.get(BlobRead(WAVEFORM, 2, 0), BlobReply).data != before:
             raise Failed("a repeated BLOB_WRITE was executed again, over one that came between")
     finally:
-        probe.ask(MessageType.BLOB_WRITE, written(WAVEFORM, 0, before))
+        write(device, WAVEFORM, 0, before)
     return "a repeated BLOB_WRITE was answered, and not executed again"

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from bench.conform.checks import Carrier, Group
 from bench.conform.data import MORE_THAN_A_BYTE, bus_samples
-from bench.conform.device import PATIENCE, Device, ids, width
+from bench.conform.device import Device, ids, width
 from bench.conform.levels import CAN, MOTION, STATES, STREAMS
 from bench.conform.lines import BusLine, changed, cut, remote
 from bench.conform.motion import turned
@@ -333,8 +333,7 @@ def stop_of_others(device: Device) -> str:
     device.probe.write(device.bus.stop(device.probe.node % 15 + 1))
     if (now := device.fresh()).state != DriveState.RUNNING:
         raise Failed(f"a frame of class 0 to node {device.probe.node % 15 + 1} led to {now.state.name}")
-    device.probe.feed_every = None
-    device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
+    device.trip()
     device.probe.write(device.bus.stop(device.probe.node))
     if (now := device.fresh()).state != DriveState.FAULT or not now.faults:
         raise Failed(f"a frame of class 0 in FAULT: {now.state.name}, faults 0x{int(now.faults):x}")
@@ -362,7 +361,7 @@ def slots(device: Device) -> str:
     if any((after - before) % 32 not in (1, 2) for before, after in pairwise(taken)) or max(taken) > 31:
         raise Failed(f"34 configurations have slots {taken}: not a circle of 32")
     device.stop_streams()
-    if device.offers_edges:
+    if device.offers(Feature.EDGES):
         edges = [device.configure_edges(0).reply.slot for _ in range(18)]
         if any((after - before) % 16 not in (1, 2) for before, after in pairwise(edges)) or max(edges) > 15:
             raise Failed(f"18 configurations of edges have slots {edges}: not a circle of 16")
@@ -501,7 +500,7 @@ def load(device: Device) -> Iterator[str]:
             told.reply, due, f"{counted(len(chosen), 'channel')} at {device.pwm_hz / told.asked.decimation:g} Hz"
         )
     device.stop_streams()
-    if device.offers_edges:
+    if device.offers(Feature.EDGES):
         yield _same_load(device.configure_edges(0).reply, edge_load(line.rates, line.extended), "edges")
 
 

@@ -1,4 +1,4 @@
-"""Level 2, third part: captures that need no motion and no change of state. Chapter 19 of SPEC."""
+"""Level 2, third part: requests for captures, and captures that begin at once. Chapter 19 of SPEC."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from dataclasses import replace
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.conform.captured import (
     NEVER,
-    RECORDS,
     Captured,
     arm,
     armed,
@@ -23,7 +21,6 @@ from bench.conform.captured import (
     give_up,
     place_of,
     require_capture,
-    some_records,
     status,
     taken,
 )
@@ -34,7 +31,7 @@ from bench.conform.levels import STREAMS
 from bench.conform.probe import accepted, read, refusal
 from bench.conform.streams import absent
 from bench.conform.verdicts import Failed, Unknown
-from protocol.codes import CaptureState, CaptureTrigger, ErrorCode, EventCode, MessageType
+from protocol.codes import CaptureState, CaptureTrigger, ErrorCode, EventCode, Feature, MessageType
 from protocol.descriptor import Channel
 from protocol.messages import BlobRead, CaptureArm, CaptureReply
 
@@ -46,18 +43,6 @@ STREAMED = 800.0  # Hz of the samples beside a capture
 BESIDE = 0.05  # s that the stream runs before and after
 OTHER_DECIMATION = 3  # times that of the first capture
 COMMON = 12  # samples that a capture and a stream have in common
-AROUND = 40  # records before a trigger, and from it on
-SPARSE = 50  # a decimation
-SELDOM = 0.1  # share of the periods that a level is above, or below
-RARE = 0.06  # share of the periods in which a condition is met that is looked for with it
-OFTEN = 4  # captures of it
-KINDS = (
-    CaptureTrigger.ABOVE, CaptureTrigger.BELOW, CaptureTrigger.RISES, CaptureTrigger.FALLS, CaptureTrigger.CHANGES
-)  # fmt: skip
-
-
-BY_TWO = (CaptureTrigger.RISES, CaptureTrigger.FALLS, CaptureTrigger.CHANGES)
-"""Conditions that compare with the period before."""
 
 
 @check("stands-by", "19.15 19.26 5.20")
@@ -101,14 +86,14 @@ def _wrong(device: Device) -> list[tuple[str, dict[str, object], ErrorCode, floa
     rows: list[tuple[str, dict[str, object], ErrorCode, float]] = [
         ("trigger 11", {"trigger": 11}, ErrorCode.BAD_VALUE, 11),
         ("decimation 0", {"decimation": 0}, ErrorCode.BAD_VALUE, 0),
-        ("after 0", {"after": 0}, ErrorCode.BAD_VALUE, 0),
+        ("after 0", {"before": 1, "after": 0}, ErrorCode.BAD_VALUE, 0),
         ("level NaN", {"level": math.nan}, ErrorCode.BAD_VALUE, math.nan),
         ("no channels", {"channels": ()}, ErrorCode.BAD_VALUE, 0),
         (f"channel {other}", {"channels": (first.id, other)}, ErrorCode.UNKNOWN_ID, other),
         (f"channel {first.id} twice", {"channels": (first.id, first.id)}, ErrorCode.BAD_VALUE, first.id),
         (f"the trigger's channel {other}", {"trigger": by_channel, "channel": other}, ErrorCode.UNKNOWN_ID, other),
     ]
-    if not device.offers_edges:
+    if not device.offers(Feature.EDGES):
         rows.append(("a trigger of edges", {"trigger": CaptureTrigger.PULSE}, ErrorCode.NOT_SUPPORTED, 10))
     many: dict[str, object] = {"before": fits, "after": 1, "edges": edges}
     rows.append((f"{fits + 1} records beside {edges} edges", many, ErrorCode.DOES_NOT_FIT, float(np.float32(fits))))
@@ -125,7 +110,7 @@ def arm_refusals(device: Device) -> Iterator[str]:
         yield refusal(arm(device, replace(plain, **wrong)), code, detail, words)  # type: ignore[arg-type]
     huge = replace(plain, level=-math.inf)
     yield refusal(arm(device, huge), ErrorCode.BAD_VALUE, -math.inf, "level -inf")
-    if device.offers_edges:
+    if device.offers(Feature.EDGES):
         edges = replace(plain, trigger=CaptureTrigger.ILLEGAL, before=0xFFFFFFFF)
         yield refusal(arm(device, edges), ErrorCode.DOES_NOT_FIT, None, "2^32 records until an illegal edge")
     if (now := status(device)) != before:
@@ -221,8 +206,7 @@ def as_streamed(device: Device) -> Iterator[str]:
         if not between(began, reply.tick, device.probe.tick()[1]):
             raise Failed(f"the trigger's record has tick {reply.tick}, the request came at {began}")
         yield _same(found, samples, chosen)
-        device.probe.heard.clear()
-        device.probe.stream_frames.clear()
+        device.probe.forget()
 
 
 def _dense(decimation: int, records: int) -> int:
@@ -259,8 +243,7 @@ def held(device: Device) -> Iterator[str]:
     require_capture(device)
     chosen = device.channels[:2]
     request = CaptureArm(CaptureTrigger.NOW, 0, 1, 0, fitting_records(device, chosen, 60), channels=ids(chosen))
-    armed(device, request)
-    told = frozen(device, request)
+    told = frozen(device, armed(device, request))
     found = taken(device, told)
     yield refusal(arm(device, request), ErrorCode.BUSY, told.number, "CAPTURE_ARM in FROZEN")
     wrong = replace(request, decimation=0, channels=())
@@ -288,9 +271,9 @@ def told_when_frozen(device: Device) -> str:
     for _ in range(2):  # a device may drop one event
         since = len(device.events(EventCode.CAPTURED))
         request = CaptureArm(CaptureTrigger.NOW, 0, 1, 0, fitting_records(device, chosen), channels=ids(chosen))
-        number = armed(device, request).number
+        number = (begun := armed(device, request)).number
         try:
-            frozen(device, request)
+            frozen(device, begun)
         except Unknown as late:
             raise Failed(str(late)) from None
         device.fresh()
@@ -301,90 +284,3 @@ def told_when_frozen(device: Device) -> str:
         if told:
             break
     raise Failed(f"capture {number} is FROZEN by NOW; EVENTs CAPTURED (number, trigger): {told or 'none, twice'}")
-
-
-# -- triggers by a channel --------------------------------------------------------------------------------------------
-
-
-def _moving(device: Device) -> tuple[Channel, NDArray[np.float64]]:
-    """The channel that changes most at rest, and its values in consecutive periods. Raises Unknown."""
-    found = some_records(device)
-    values = {channel: found.values(channel) for channel in found.channels}
-    best = max(values, key=lambda channel: len(np.unique(values[channel])))
-    if len(np.unique(values[best])) < 3:
-        raise Unknown("no channel changes at rest")
-    return best, values[best]
-
-
-def met(kind: CaptureTrigger, values: NDArray[np.float64], level: float) -> NDArray[np.bool_]:
-    """In which of consecutive periods a condition of SPEC's table holds; the first has none before it."""
-    before = np.concatenate([values[:1], values[:-1]])
-    if kind == CaptureTrigger.CHANGES:
-        changes: NDArray[np.bool_] = values != before
-        return changes
-    above = kind in (CaptureTrigger.ABOVE, CaptureTrigger.RISES)
-    now, was = (values > level, before > level) if above else (values < level, before < level)
-    if kind in (CaptureTrigger.ABOVE, CaptureTrigger.BELOW):
-        was = np.zeros_like(was)
-    found: NDArray[np.bool_] = now & ~was
-    return found
-
-
-def _level(values: NDArray[np.float64], share: float) -> float:
-    """A level that about this share of some values is below, and none of them on."""
-    ordered = np.unique(values)
-    below = int(np.searchsorted(np.cumsum([np.mean(values == each) for each in ordered]), share))
-    below = min(max(below, 0), len(ordered) - 2)
-    return float(ordered[below] + ordered[below + 1]) / 2
-
-
-@check("channel-triggers", "19.18 19.20 19.21 19.24")
-def channel_triggers(device: Device) -> Iterator[str]:
-    """The trigger's record is the first that fulfils the condition, for each condition on a channel."""
-    require_capture(device)
-    channel, values = _moving(device)
-    around = min(AROUND, fitting_records(device, [channel]) // 2)
-    for kind in KINDS:
-        level = _level(values, SELDOM if kind in (CaptureTrigger.BELOW, CaptureTrigger.RISES) else 1 - SELDOM)
-        request = CaptureArm(kind, 0, 1, around, around, level, channel.id, channels=(channel.id,))
-        for _ in range(OFTEN if kind in BY_TWO else 1):
-            found = captured(device, request)
-            if kind in BY_TWO and not found.reply.first:
-                raise Failed(
-                    f"{kind.name} of {channel.name}: the first period is the trigger's, and has none before it"
-                )
-        first, seen = found.reply.first, met(kind, found.values(channel), level)
-        words = f"{kind.name} of {channel.name}, level {level:.6g}, {first} records before the trigger's"
-        if found.reply.trigger != kind or first > around:
-            raise Failed(f"{words}: the trigger is {found.reply.trigger.name}")
-        if seen[:first].any():
-            raise Failed(f"{words}: the condition held before, in record {int(seen.argmax())}")
-        if first and not seen[first]:
-            raise Failed(f"{words}: the condition does not hold in the trigger's: {found.values(channel)[first]:.6g}")
-        yield words
-
-
-@check("judged-in-each-period", "19.18 19.19")
-def judged_in_each_period(device: Device) -> str:
-    """A condition is judged in every period, also where one in many is recorded."""
-    require_capture(device)
-    channel, values = _moving(device)
-    ordered = np.unique(values)
-    shares = [float(np.mean(values > level)) for level in ordered]
-    rare = [n for n, share in enumerate(shares) if 0 < share <= RARE]
-    if not rare or len(values) < RECORDS:
-        raise Unknown(f"no level of {channel.name} is rarely exceeded at rest")
-    level = float(ordered[rare[0]] + ordered[rare[0] + 1]) / 2
-    above = 0
-    for _ in range(OFTEN):
-        request = CaptureArm(CaptureTrigger.ABOVE, 0, SPARSE, 2, 2, level, channel.id, channels=(channel.id,))
-        found = captured(device, request)
-        above += bool(found.values(channel)[found.reply.first] > level)
-    words = (
-        f"{channel.name} above {level:.6g}, as {100 * shares[rare[0]]:.1f} % of the periods are, one in {SPARSE} kept"
-    )
-    if above == OFTEN:
-        raise Failed(
-            f"{words}: the trigger's record is above it in each of {OFTEN} captures, as if no other were judged"
-        )
-    return f"{words}: the trigger's record is above it in {above} of {OFTEN} captures"

@@ -22,7 +22,7 @@ from bench.conform.checks import Group
 from bench.conform.device import EDGE_BYTES, PATIENCE, Device, faults_text, ids, require_granted
 from bench.conform.levels import STATES
 from bench.conform.verdicts import Failed, Unknown
-from protocol.codes import CaptureState, CaptureTrigger, Command, DriveState, EventCode, Fault
+from protocol.codes import CaptureState, CaptureTrigger, Command, EventCode, Fault
 from protocol.messages import BlobRead, BlobReply, CaptureArm, CaptureReply
 
 check = Group("capture", STATES)
@@ -52,16 +52,17 @@ def state_trigger(device: Device) -> list[str]:
     probe, words = device.probe, []
     for command, argument in ((Command.ARM, device.hello.boot_id), (Command.STOP, 0)):
         request = _around(device, CaptureTrigger.STATE)
-        number = armed(device, request).number
+        begun = armed(device, request)
         probe.listen(WAITS)
         probe.command(Command.ARM, device.hello.boot_id ^ 1)
-        _still_waits(device, number, f"before {command.name}")
+        _still_waits(device, begun.number, f"before {command.name}")
         began = probe.tick()[0]
         require_granted(probe.command(command, argument), command.name)
         ended = probe.tick()[1]
-        device.feed() if command == Command.ARM else None
+        if command == Command.ARM:
+            device.feed()
         try:
-            told = frozen(device, request)
+            told = frozen(device, begun)
         except Unknown as never:
             raise Failed(f"{command.name} changed the state: {never}") from None
         taken(device, told)
@@ -72,14 +73,12 @@ def state_trigger(device: Device) -> list[str]:
     return words
 
 
-def _by_fault(device: Device, request: CaptureArm | None, words: str) -> CaptureReply:
-    """Let the watchdog trip; what is FROZEN then. Raises Failed."""
-    since = len(device.events(EventCode.FAULT))
-    number = armed(device, request).number if request else status(device).number
+def _by_fault(device: Device, begun: CaptureReply, words: str) -> CaptureReply:
+    """Let the watchdog trip while this capture waits; what is FROZEN then. Raises Failed."""
+    since, number = len(device.events(EventCode.FAULT)), begun.number
     beat = device.fault()
-    waiting = request or CaptureArm(CaptureTrigger.FAULT, decimation=1, after=status(device).after)
     try:
-        told = frozen(device, waiting)
+        told = frozen(device, begun)
     except Unknown as never:
         raise Failed(f"{words}, {faults_text(beat.faults)}: {never}") from None
     events = device.events(EventCode.FAULT)[since:]
@@ -109,10 +108,10 @@ def _ends(device: Device, told: CaptureReply) -> bytes:
 @check("fault-unasked", "19.15 19.16 19.17 19.21 19.22")
 def fault_unasked(device: Device) -> str:
     """A fault freezes the last periods though nobody asked, and they stay through FAULT_CLEAR until OFF."""
-    require_capture(device)
+    begun = require_capture(device)
     tick0 = device.configure(0, ids(device.channels[:1]), 100.0).reply.tick0
     device.probe.listen(WAITS)
-    told = _by_fault(device, None, "nothing was asked for")
+    told = _by_fault(device, begun, "nothing was asked for")
     before = _ends(device, told)
     if wrong := place_of(told, tick0, device.ticks_per_period):
         raise Failed(wrong)
@@ -130,7 +129,8 @@ def fault_unasked(device: Device) -> str:
 def fault_before_its_trigger(device: Device) -> str:
     """A fault freezes what waits for another trigger, and tells that it was a fault."""
     require_capture(device)
-    told = _by_fault(device, _around(device, CaptureTrigger.ABOVE), "ABOVE a level that is not reached")
+    begun = armed(device, _around(device, CaptureTrigger.ABOVE))
+    told = _by_fault(device, begun, "ABOVE a level that is not reached")
     give_up(device)
     return f"armed by ABOVE; WATCHDOG: FROZEN by {told.trigger.name}, {told.first} records before it"
 
@@ -145,12 +145,11 @@ def fault_after_its_trigger(device: Device) -> str:
     decimation = min(math.ceil(seconds * device.pwm_hz / records), 0xFFFF)
     device.arm()
     request = CaptureArm(CaptureTrigger.NOW, 0, decimation, 0, records, channels=ids(chosen))
-    number = armed(device, request).number
-    device.probe.feed_every = None
-    device.wait_state(DriveState.FAULT, seconds)
-    told = frozen(device, request)
+    begun = armed(device, request)
+    device.trip()
+    told = frozen(device, begun)
     taken(device, told)
     give_up(device)
-    if (told.number, told.trigger) != (number, CaptureTrigger.NOW) or told.records < records:
+    if (told.number, told.trigger) != (begun.number, CaptureTrigger.NOW) or told.records < records:
         raise Failed(f"NOW, then a fault: trigger {told.trigger.name}, {told.records} of {records} records")
     return f"NOW, then WATCHDOG: all {told.records} records"

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.conform.data import few, signed, split_sample
-from bench.conform.device import EDGE_BYTES, Device, ids, require_granted, width
+from bench.conform.data import signed, split_sample
+from bench.conform.device import EDGE_BYTES, Device, require_granted, width
 from bench.conform.probe import Answer, read
-from bench.conform.verdicts import Failed, Unknown
+from bench.conform.verdicts import Ended, Failed, Unknown
 from protocol.codes import CaptureState, CaptureTrigger, Feature, MessageType
 from protocol.descriptor import Channel
 from protocol.messages import CaptureArm, CaptureReply, CaptureStatus
@@ -62,6 +63,20 @@ def status(device: Device) -> CaptureReply:
     return device.probe.get(CaptureStatus(), CaptureReply)
 
 
+def look_for_held(device: Device) -> None:
+    """Remember whether a capture is held that a host may want to read."""
+    if device.offers(Feature.CAPTURE):
+        with suppress(Ended):
+            told = status(device)
+            device.held_capture = told.number if told.state == CaptureState.FROZEN else 0
+
+
+def leave_waiting(device: Device) -> None:
+    """Leave the device waiting for a fault, as after boot, unless a host's capture is held. Raises Ended."""
+    if device.offers(Feature.CAPTURE) and not device.held_capture:
+        give_up(device)
+
+
 def require_capture(device: Device) -> CaptureReply:
     """Where the capture is, once nothing is held. Raises NotApplicable, and Unknown where a host's capture is held."""
     device.require(Feature.CAPTURE)
@@ -94,21 +109,15 @@ def armed(device: Device, request: CaptureArm) -> CaptureReply:
     return read(require_granted(arm(device, request), f"CAPTURE_ARM {request.trigger.name}").frame, CaptureReply)
 
 
-def frozen(device: Device, request: CaptureArm) -> CaptureReply:
-    """Wait until the capture that was armed like this is FROZEN. Raises Unknown where it is not in time."""
-    seconds = FREEZES + (request.before + request.after) * request.decimation / device.pwm_hz
-    found = [status(device)]
-
-    def complete() -> bool:
-        found[0] = status(device)
-        return found[0].state == CaptureState.FROZEN
-
+def frozen(device: Device, begun: CaptureReply) -> CaptureReply:
+    """Wait until the capture that began like this is FROZEN. Raises Unknown where it is not in time."""
+    seconds = FREEZES + (begun.before + begun.after) * begun.decimation / device.pwm_hz
     end = device.probe.now() + seconds
-    while not complete():
+    while (now := status(device)).state != CaptureState.FROZEN:
         if device.probe.now() > end:
-            raise Unknown(f"{request.trigger.name}: the capture is {found[0].state.name} after {seconds:.1f} s")
+            raise Unknown(f"{begun.trigger.name}: the capture is {now.state.name} after {seconds:.1f} s")
         device.probe.listen(0.02)
-    return found[0]
+    return now
 
 
 def taken(device: Device, reply: CaptureReply) -> Captured:
@@ -130,33 +139,17 @@ def taken(device: Device, reply: CaptureReply) -> Captured:
 
 def captured(device: Device, request: CaptureArm) -> Captured:
     """Arm, wait, read, and give up. Raises Unknown, Failed."""
-    armed(device, request)
-    found = taken(device, frozen(device, request))
+    found = taken(device, frozen(device, armed(device, request)))
     require_granted(give_up(device), "CAPTURE_ARM OFF")
     return found
 
 
-def some_records(device: Device) -> Captured:
-    """Consecutive periods of the channels that a stream can carry beside, at rest; made once for all checks."""
-
-    def made() -> Captured:
-        chosen = few(device)
-        require_capture(device)
-        records = fitting_records(device, chosen)
-        return captured(device, CaptureArm(CaptureTrigger.NOW, after=records, channels=ids(chosen)))
-
-    return device.once("capture", made)
-
-
 def place_of(told: CaptureReply, tick0: int, ticks_per_period: int) -> str:
     """What is wrong with the tick or the index of the trigger's record, in words; empty if nothing."""
-    off = (told.tick - tick0) % ticks_per_period
-    index = (told.tick - tick0) // ticks_per_period & 0xFFFFFFFF
-    if off or index != told.index:
-        return f"tick {told.tick} is {off} ticks after period {index}, index is {told.index}"
-    return f"index {told.index} is not divisible by {told.decimation}" * bool(
-        (told.tick - tick0) // ticks_per_period % told.decimation
-    )
+    period, off = divmod(told.tick - tick0, ticks_per_period)
+    if off or period & 0xFFFFFFFF != told.index:
+        return f"tick {told.tick} is {off} ticks after period {period}, index is {told.index}"
+    return f"index {told.index} is not divisible by {told.decimation}" if period % told.decimation else ""
 
 
 def between(first: int, tick: int, last: int) -> bool:

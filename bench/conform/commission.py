@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.conform.blobs import WAVEFORM, written
+from bench.conform.blobs import WAVEFORM, write
 from bench.conform.captured import physical
 from bench.conform.checks import Group
+from bench.conform.commissioned import blind, put, require, restored, run_at_zero_volts, value_of
 from bench.conform.data import by_index, split_sample
-from bench.conform.device import ALL, PATIENCE, Device, ids, require_granted
+from bench.conform.device import ALL, Configured, Device, ids, require_granted
 from bench.conform.levels import STATES
 from bench.conform.means import every_period
 from bench.conform.motion import reference
@@ -21,9 +21,9 @@ from bench.conform.parameters import changed, value_refused
 from bench.conform.probe import accepted, refusal
 from bench.conform.setpoints import is_taken, rejected
 from bench.conform.verdicts import Failed, NotApplicable, Unknown
-from protocol.codes import DriveState, ErrorCode, EventCode, Fault, Feature, MessageType, SetpointMode, TestSignal
+from protocol.codes import DriveState, ErrorCode, EventCode, Fault, Feature, SetpointMode, TestSignal
 from protocol.descriptor import Channel
-from protocol.signals import AngleSource, Flag, Status
+from protocol.signals import Flag, Status
 
 check = Group("commission", STATES)
 
@@ -39,44 +39,10 @@ SPEED_ERROR = 0.02  # share
 AT_REST = 2 * math.pi  # rad/s, largest speed towards the forced angle
 CYCLES = ((37, 0, 74), (11, 5, 55))
 """test_periods, test_length, and the periods of a cycle of both."""
-FEW = 20  # VOLTAGEs of zero until one is near enough to what the current loop gives
 TURNED, STILL = 1.0, 0.05  # rad by which encoder_zero is changed, and by which a shaft at rest may move
 TINY = 1e-6  # A²s
 TRIPS = 1.0  # s in which the noise of a current sensor makes that
 SURE = 10.0  # times that, with which it must have tripped
-
-
-def require(device: Device, name: str) -> Channel:
-    """A parameter of commissioning. Raises NotApplicable without the feature, Unknown where it is not there."""
-    device.require(Feature.COMMISSION)
-    record = device.named(name)
-    if record is None:
-        raise Unknown(f"there is no parameter {name}: see parameter.of-commissioning")
-    return record
-
-
-@contextmanager
-def restored(device: Device, *names: str) -> Iterator[None]:
-    """Parameters that are as before afterwards, at rest."""
-    before = [(record := require(device, name), device.parameter(record).value) for name in names]
-    try:
-        yield
-    finally:
-        try:
-            device.rest()
-        finally:
-            for record, value in reversed(before):
-                device.put_back(record, value)
-
-
-def put(device: Device, name: str, value: float) -> None:
-    """Set a parameter. Raises Unknown where it is refused."""
-    require_granted(device.set(require(device, name), value), f"{name} = {value:g}")
-
-
-def value_of(device: Device, name: str) -> float:
-    """A parameter's value. Raises Unknown."""
-    return device.parameter(require(device, name)).value
 
 
 @check("limits", "20.15 20.8")
@@ -114,10 +80,9 @@ def test_busy(device: Device) -> Iterator[str]:
         for value in (TestSignal.I_Q, TestSignal.U_D):
             yield refusal(device.set(record, value), ErrorCode.BUSY, value, f"test = {value} while it is 1")
         if device.offers(Feature.WAVEFORM):
-            probe = device.probe
-            write = probe.ask(MessageType.BLOB_WRITE, written(WAVEFORM, 0, device.read_blob(WAVEFORM)[:2]))
-            yield refusal(write, ErrorCode.BUSY, WAVEFORM, "BLOB_WRITE while test is 1")
-            beyond = probe.ask(MessageType.BLOB_WRITE, written(WAVEFORM, 0xFFFFFFFF, b"12"))
+            within = write(device, WAVEFORM, 0, device.read_blob(WAVEFORM)[:2])
+            yield refusal(within, ErrorCode.BUSY, WAVEFORM, "BLOB_WRITE while test is 1")
+            beyond = write(device, WAVEFORM, 0xFFFFFFFF, b"12")
             yield refusal(beyond, ErrorCode.OUT_OF_RANGE, None, "BLOB_WRITE past the end while test is 1")
         yield accepted(device.set(record, TestSignal.OFF), "test = 0")
         yield accepted(device.set(record, TestSignal.I_Q), "test = 4 after 0")
@@ -151,8 +116,7 @@ def volatile(device: Device) -> Iterator[str]:
             values[record.id] = changed(device, record)
         since = len(device.events(EventCode.PARAM_CHANGED))
         if trips:
-            device.probe.feed_every = None
-            device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
+            device.trip()
         else:
             device.probe.stop()
         device.fresh()
@@ -169,25 +133,6 @@ def volatile(device: Device) -> Iterator[str]:
             raise Failed(f"after {what} {len(moved)} parameters changed, and no EVENT PARAM_CHANGED was received")
         device.rest()
         yield f"after {what} {len(passing)} parameters are at their defaults, {len(moved)} of them were not"
-
-
-@contextmanager
-def blind(device: Device) -> Iterator[None]:
-    """The angle source is not the encoder. Raises Unknown where there is no other."""
-    record = device.named("observer")
-    if record is None:
-        yield
-        return
-    before = device.parameter(record)
-    try:
-        if before.value == AngleSource.ENCODER:
-            require_granted(device.set(record, max(before.lo, 1.0)), "observer = 1")
-        yield
-    finally:
-        try:
-            device.rest()
-        finally:
-            device.put_back(record, before.value)
 
 
 @check("angle-needed", "20.10 20.4 8.4 20.9")
@@ -218,9 +163,8 @@ def angle_needed(device: Device) -> Iterator[str]:
         yield refusal(device.set(forced, 1.0), ErrorCode.WRONG_STATE, None, "forced = 1 while SPEED is in use")
 
 
-def _angles(device: Device, channel: Channel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times in s and the angle in rad, unwrapped, of what came of stream 0 since `configure`."""
-    told = device.kept["theta_ctrl"]
+def _angles(device: Device, told: Configured, channel: Channel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times in s and the angle in rad, unwrapped, of what came of a stream of this channel."""
     found = by_index(device, told, (channel,))
     ordered = sorted(found)
     if len(ordered) < 10:
@@ -234,13 +178,13 @@ def _angles(device: Device, channel: Channel) -> tuple[NDArray[np.float64], NDAr
 def forced_angle(device: Device) -> Iterator[str]:
     """The forced angle begins where the control's is, follows its ramp, and goes to its target the shorter way."""
     require(device, "forced")
-    channel = next((each for each in device.channels if each.name == "theta_ctrl"), None)
+    channel = device.channel_named("theta_ctrl")
     if channel is None:
         raise Unknown("the device has no channel theta_ctrl")
     fastest = value_of(device, "n_p") * value_of(device, "omega_m_max")
     if fastest < SPEED:
         raise Unknown(f"the largest forced speed is {fastest:g} rad/s")
-    device.kept["theta_ctrl"] = device.configure(0, ids([channel]), RATE, share=ALL)
+    told = device.configure(0, ids([channel]), RATE, share=ALL)
     device.run()
     device.start_streams(1)
     device.probe.listen(SETTLED)
@@ -249,7 +193,7 @@ def forced_angle(device: Device) -> Iterator[str]:
     device.probe.listen(SETTLED)
     put(device, "forced_speed", SPEED)
     device.probe.listen(RAMPED)
-    times, angles = _angles(device, channel)
+    times, angles = _angles(device, told, channel)
     steps, spans = np.diff(angles), np.diff(times)
     if (jump := float(np.max(np.abs(steps) - SPEED * spans))) > JUMP:
         raise Failed(f"theta_ctrl jumps by {jump:.3g} rad")
@@ -267,13 +211,14 @@ def forced_angle(device: Device) -> Iterator[str]:
         raise Failed(f"with forced_slope {SLOPE:g} rad/s² the angle lags {-behind:.3g} s, not {-due:.3g} s")
     put(device, "forced_speed", 0.0)
     device.probe.listen(2 * SETTLED)
-    rest = float(_angles(device, channel)[1][-1])
+    rest = float(_angles(device, told, channel)[1][-1])
     target = float((rest + 2.5 + math.pi) % (2 * math.pi) - math.pi)
     put(device, "forced_angle", target)
     device.probe.listen(MOVED)
-    times, angles = _angles(device, channel)
+    times, angles = _angles(device, told, channel)
     travel = float(angles[-1]) - rest
-    fast = float(np.max(np.abs(np.diff(angles[times > times[-1] - MOVED]) / np.diff(times[times > times[-1] - MOVED]))))
+    moving = times > times[-1] - MOVED
+    fast = float(np.max(np.abs(np.diff(angles[moving]) / np.diff(times[moving]))))
     words = f"forced_angle {target:.4g} rad from {rest % (2 * math.pi):.4g} rad: it turned {travel:.4g} rad"
     if abs(travel - 2.5) > RESOLVED:
         raise Failed(f"{words}, not 2.5 rad")
@@ -286,7 +231,7 @@ def forced_angle(device: Device) -> Iterator[str]:
 def test_cycle(device: Device) -> Iterator[str]:
     """Bit 7 of `status` is set each time that a cycle of the test signal begins; its amplitude is 0."""
     require(device, "test")
-    channel = next((each for each in device.channels if each.name == "status"), None)
+    channel = device.channel_named("status")
     if channel is None:
         raise NotApplicable("the device has no channel `status`")
     for periods, length, cycle in CYCLES:
@@ -317,10 +262,7 @@ def protects(device: Device) -> Iterator[str]:
             yield f"{name} cannot be set to 0"
             continue
         with restored(device, name):
-            device.run()
-            put(device, "forced", 1.0)
-            if not any(is_taken(device, SetpointMode.VOLTAGE, 0x0100 + n) for n in range(FEW)):
-                raise Unknown("VOLTAGE 0 was not accepted")
+            run_at_zero_volts(device)
             before = device.parameter(record).value
             put(device, name, 0.0)
             try:
@@ -346,8 +288,7 @@ def encoder_zero(device: Device) -> str:
     try:
         for value in (before, before + TURNED if before < 0 else before - TURNED):
             require_granted(device.set(record, value), f"encoder_zero = {value:g}")
-            device.probe.heard.clear()
-            device.probe.stream_frames.clear()
+            device.probe.forget()
             told = device.configure(0, ids([channel]), RATE, share=ALL)
             device.start_streams(1)
             device.probe.listen(SETTLED)

@@ -76,7 +76,7 @@ def frame_fields(device: Device) -> str:
     device.stream(device.channels[:1], RATE)
     device.streamed(0, WATCHED / 2)
     device.stop_streams()
-    device.probe.heard.clear()
+    device.probe.forget()
     told = device.stream(chosen, RATE)
     blocks = device.streamed(0, WATCHED)
     size = sum(map(width, chosen))
@@ -116,7 +116,7 @@ def index_divisible(device: Device) -> Iterator[str]:
             raise Failed(f"index {wrong[0]} is not divisible by {decimation}")
         yield f"{len(blocks)} frames from index {blocks[0].index}, divisible by {decimation}"
         device.stop_streams()
-        device.probe.heard.clear()
+        device.probe.forget()
 
 
 @check("tick-of-index", "10.3 11.35 5.39")
@@ -199,7 +199,7 @@ def no_gaps(device: Device) -> str:
 def in_time(device: Device) -> str:
     """A frame is sent before its oldest sample is older than max_latency_ms."""
     told = device.stream(device.channels[:1], SLOW, LATENCY_MS)
-    device.probe.heard.clear()
+    device.probe.forget()
     blocks = device.streamed(0, 2 * WATCHED)
     return late(device, [(block.at, block.tick) for block in blocks], told.asked.max_latency_ms, "frames")
 
@@ -226,7 +226,7 @@ def only_running(device: Device) -> str:
     device.start_streams(1)
     came = len(device.streamed(0, WATCHED / 2))
     device.stop_streams()
-    device.probe.heard.clear()
+    device.probe.forget()
     device.probe.listen(WATCHED / 2)
     if after := len(device.blocks()):
         raise Failed(f"{after} frames came after STREAM_STOP and a pause")
@@ -251,7 +251,7 @@ def rx_max_of_set(device: Device) -> str:
 @either("status", "13.4")
 def status(device: Device) -> str:
     """The channel `status` holds the state of the heartbeats."""
-    channel = next((c for c in device.channels if c.name == "status"), None)
+    channel = device.channel_named("status")
     if channel is None:
         raise NotApplicable("the device has no channel `status`")
     told = device.stream((channel,), RATE)
@@ -340,7 +340,7 @@ def _signed16(number: int) -> int:
 
 
 @either("same-instants", "11.10")
-def sameinstants(device: Device) -> str:
+def same_instants(device: Device) -> str:
     """Two streams with the same decimation are sampled at the same instants."""
     forth, _, there, backwards = _both_ways(device)
     first, last = max(min(there), min(backwards)), min(max(there), max(backwards))
@@ -431,7 +431,7 @@ def _streamed_both_ways(device: Device) -> Both:
 @either("hall-inputs", "12.7 12.4 12.5")
 def hall_inputs(device: Device) -> str:
     """With inputs taken as inverted or exchanged, the code is as by SPEC's table, and no edge is counted."""
-    record, channel = device.named("hall_invert_hat"), next((c for c in device.channels if c.name == "hall"), None)
+    record, channel = device.named("hall_invert_hat"), device.channel_named("hall")
     if record is None or channel is None:
         raise NotApplicable("the device lacks the parameter hall_invert_hat, or the channel hall")
     exchanged = device.named("hall_swap_hat")
@@ -467,8 +467,7 @@ def hall_inputs(device: Device) -> str:
 
 def _codes(device: Device, channel: Channel) -> list[int]:
     """The Hall codes that are streamed now."""
-    device.probe.heard.clear()
-    device.probe.stream_frames.clear()
+    device.probe.forget()
     told = device.stream((channel,), RATE)
     device.probe.listen(WATCHED / 2)
     found = {raw[0] & 7 for raw in instants(device, told, (channel,)).values()}
@@ -549,7 +548,7 @@ def _overload(device: Device) -> Overload:
     told, rate = _heaviest(device)
     probe = device.probe
     damaged, before = probe.line.damaged, _dropped(device)
-    probe.heard.clear()
+    probe.forget()
     device.start_streams(1)
     device.streamed(0, 0.2)
     for seconds in UNREAD:

@@ -22,15 +22,12 @@ from bench.conform.verdicts import Ended, Failed, NotApplicable, Unknown
 from bench.device.safety import is_off
 from bench.rig.interrupts import undisturbed
 from protocol.canmap.layout import MAX_GROUPS, sample_layout
-from protocol.codes import CaptureState, CaptureTrigger, Command, DriveState, ErrorCode, Fault, MessageType, StreamEvent
+from protocol.codes import Command, DriveState, ErrorCode, Fault, MessageType, StreamEvent
 from protocol.descriptor import Channel, Descriptor
 from protocol.errors import DeviceDefect
 from protocol.messages import (
     BlobRead,
     BlobReply,
-    CaptureArm,
-    CaptureReply,
-    CaptureStatus,
     DeviceEvent,
     Feature,
     Heartbeat,
@@ -200,6 +197,10 @@ class Device:
         """The parameter of a name that SPEC gives a meaning."""
         return next((p for p in self.descriptor.parameters if p.name == name), None)
 
+    def channel_named(self, name: str) -> Channel | None:
+        """The channel of a name that SPEC gives a meaning. NotApplicable where there are no channels at all."""
+        return next((channel for channel in self.channels if channel.name == name), None)
+
     def put_back(self, record: Channel, value: float) -> None:
         """Restore a parameter if it has changed; `not_put_back` has those that could not be restored."""
         words = f"parameter {record.name} (was {value:g})"
@@ -211,11 +212,6 @@ class Device:
                 if self.parameter(record).value == value:
                     self.not_put_back.remove(words)
                     return
-
-    @property
-    def offers_edges(self) -> bool:
-        """Whether HELLO has the feature."""
-        return self.offers(Feature.EDGES)
 
     def offers(self, feature: Feature) -> bool:
         """Whether HELLO has the feature."""
@@ -236,18 +232,6 @@ class Device:
     def set(self, record: Channel, value: float) -> Answer:
         """Send a PARAM_SET."""
         return self.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, value).pack())
-
-    def look_at_capture(self) -> None:
-        """Remember whether a capture is held that a host may want to read."""
-        if self.offers(Feature.CAPTURE):
-            with suppress(Ended):
-                told = self.probe.get(CaptureStatus(), CaptureReply)
-                self.held_capture = told.number if told.state == CaptureState.FROZEN else 0
-
-    def give_up_capture(self) -> None:
-        """Leave the device waiting for a fault, as after boot, unless a host's capture is held. Raises Ended."""
-        if self.offers(Feature.CAPTURE) and not self.held_capture:
-            self.probe.ask(MessageType.CAPTURE_ARM, CaptureArm(CaptureTrigger.OFF).pack())
 
     # -- streams --------------------------------------------------------------------------------------------------
 
@@ -348,9 +332,14 @@ class Device:
         value = math.nan if record is None else self.parameter(record).value
         return value if math.isfinite(value) else WATCHDOG
 
+    @property
+    def feed_every(self) -> float:
+        """s between two ALIVEs that feed its watchdog."""
+        return min(ALIVE, self.watchdog / 4)
+
     def feed(self) -> None:
         """Feed the watchdog from now on."""
-        self.probe.feed_every = min(ALIVE, self.watchdog / 4)
+        self.probe.feed_every = self.feed_every
 
     def unfed(self) -> tuple[int, int]:
         """Feed it a last time; the ticks before and after."""
@@ -361,7 +350,7 @@ class Device:
 
     def arm(self) -> None:
         """ARMED, fed. Raises Unknown."""
-        every = min(ALIVE, self.watchdog / 4)  # before ARM: a slow link takes longer than the watchdog
+        every = self.feed_every  # asked for before ARM: a slow link takes longer than the watchdog
         require_granted(self.probe.command(Command.ARM, self.hello.boot_id), "ARM")
         self.probe.feed_every = every
 
@@ -377,9 +366,13 @@ class Device:
     def fault(self) -> Heartbeat:
         """FAULT, by a watchdog that is not fed in ARMED; the heartbeat that says so. Raises Unknown."""
         self.arm()
-        self.probe.feed_every = None
-        self.wait_state(DriveState.FAULT, self.watchdog * 2 + PATIENCE)
+        self.trip()
         return self.fresh()
+
+    def trip(self) -> None:
+        """Feed the watchdog no longer, until a heartbeat has FAULT. Raises Unknown, Failed, see `wait_state`."""
+        self.probe.feed_every = None
+        self.wait_state(DriveState.FAULT, 2 * self.watchdog + PATIENCE)
 
     def fresh(self) -> Heartbeat:
         """A heartbeat that was made from now on."""
@@ -423,7 +416,7 @@ class Device:
                     trouble = f"its state stays {state_name(beat.state)}"
                     continue
                 trouble = f"STOP led to {state_name(beat.state)}, outputs {'on' if beat.outputs_on else 'off'}"
-                self.wait_state(DriveState.FAULT, self.watchdog * 2 + PATIENCE)
+                self.trip()
         raise NotAtRest(trouble or "it sends no heartbeats")
 
 

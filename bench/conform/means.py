@@ -1,4 +1,4 @@
-"""Level 2, fourth part: means of the period, beside every period. 11.51 of SPEC."""
+"""Level 2, fifth part: means of the period, beside every period. 11.51 of SPEC."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.conform.captured import armed, fitting_records, frozen, give_up, require_capture, taken
+from bench.conform.captured import captured, fitting_records, require_capture
 from bench.conform.checks import Group
 from bench.conform.data import by_index, periods, split_sample, unwrapped
 from bench.conform.device import ALL, Configured, Device, ids
@@ -43,10 +43,7 @@ def every_period(device: Device, chosen: Sequence[Channel]) -> dict[int, bytes]:
         require_capture(device)
         records = fitting_records(device, chosen, PERIODS)
         request = CaptureArm(CaptureTrigger.NOW, 0, 1, 0, records, channels=ids(chosen))
-        armed(device, request)
-        found = taken(device, frozen(device, request)).records
-        give_up(device)
-        return found
+        return captured(device, request).records
     told = device.configure(1, ids(chosen), device.pwm_hz, share=ALL)
     if told.asked.decimation > 1:
         raise Unknown("the link is too slow for samples of every period, and the device lacks the feature CAPTURE")

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.conform.checks import Carrier, Group
-from bench.conform.data import edges_ahead, late
+from bench.conform.data import edges_ahead, late, signed
 from bench.conform.device import (
     EDGE_BYTES,
-    PATIENCE,
     SLOW_LINK,
     WELL_LOADED,
     Block,
@@ -124,10 +123,10 @@ def reference(device: Device) -> Channel | None:
 def _turn(device: Device) -> Turn:
     channel = reference(device)
     slot, edges = None, None
-    if device.offers_edges:
+    if device.offers(Feature.EDGES):
         edges = device.configure_edges(0)
         slot = edges.reply.slot
-    mask = 1 if device.offers_edges else 0
+    mask = 1 if device.offers(Feature.EDGES) else 0
     told = None
     if device.descriptor.channels:
         followed = [channel or device.descriptor.channels[0]]
@@ -146,7 +145,7 @@ def _turn(device: Device) -> Turn:
     beats = [beat for _, beat in device.probe.beats]
     device.stop_streams()
     ahead = late = ""
-    if device.offers_edges and told is not None and not device.probe.line.bus:
+    if device.offers(Feature.EDGES) and told is not None and not device.probe.line.bus:
         try:
             ahead = edges_ahead(device, told, "the motor did not turn")
         except Failed as failure:
@@ -292,11 +291,6 @@ def edges_counted(device: Device) -> str:
     return words
 
 
-def _signed(ticks: int) -> int:
-    """A difference of ticks of 32 bits."""
-    return ((ticks + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
-
-
 def _before(tick: int, other: int) -> bool:
     """Whether `tick` was before `other`, by their low 32 bits."""
     return 0 < (other - tick) & 0xFFFFFFFF < 1 << 31
@@ -355,9 +349,9 @@ def edge_ticks(device: Device) -> str:
     """Edges follow one another in time, none is of the future, and they are not all on samples."""
     edges, ended = _some(device, 12), turned(device).ended
     for one, edge in pairwise(edges):
-        if _signed(edge.tick - one.tick) < 0:
+        if signed(edge.tick - one.tick) < 0:
             raise Failed(f"edge {edge.index} has tick {edge.tick}, the one before it {one.tick}")
-    if _signed(edges[-1].tick - ended) > 0:
+    if signed(edges[-1].tick - ended) > 0:
         raise Failed(f"the last edge has tick {edges[-1].tick}, a TIME_SYNC after it {ended}")
     period = device.ticks_per_period
     if period > COARSE and len({edge.tick % period for edge in edges}) == 1:
@@ -401,7 +395,7 @@ def _same_counts(device: Device, edges: list[Edge], beats: list[Heartbeat]) -> s
     size = 256 if device.probe.line.bus else 1 << 32
     looked = 0
     for beat in beats:
-        later = [edge for edge in edges if _signed(edge.tick - beat.tick) > 0]
+        later = [edge for edge in edges if signed(edge.tick - beat.tick) > 0]
         if not later:
             continue
         looked += 1
@@ -456,7 +450,7 @@ def edges_alone(device: Device) -> str:
     counted = (beats[-1].edges - beats[0].edges) & 0xFFFFFFFF
     device.stop_streams()
     edges = edges_of(device, told.reply.slot)
-    came = [edge for edge in edges if _signed(edge.tick - beats[0].tick) > 0 >= _signed(edge.tick - beats[-1].tick)]
+    came = [edge for edge in edges if signed(edge.tick - beats[0].tick) > 0 >= signed(edge.tick - beats[-1].tick)]
     words = f"{len(came)} edges came, `edges` rose by {counted}"
     if len(came) != counted:
         raise Failed(words)
@@ -503,8 +497,7 @@ def starts_at_rest(device: Device) -> str:
                 spin(device)
                 probe.listen(RUN_UP)
             if trips:
-                probe.feed_every = None
-                device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
+                device.trip()
         device.rest()
         if not motion.stands():
             raise Unknown("the shaft does not come to rest")
@@ -532,7 +525,7 @@ class _Motion:
             if not _often_enough(device, self.told):
                 raise Unknown("the link is too slow for samples that show how the motor turns")
             device.start_streams(2)
-        elif not device.offers_edges:
+        elif not device.offers(Feature.EDGES):
             raise Unknown("the device has neither encoder nor edges by which its motion shows")
 
     def turned(self) -> float:
@@ -554,8 +547,8 @@ class _Motion:
     def _fresh(self, since: int, begin: int, end: int) -> int:
         """The place of the first samples from tick `begin` on, once those of `end` have come."""
         device = self._device
-        device.probe.until(lambda: any(_signed(b.tick - end) >= 0 for b in device.blocks(1, since)), SLOW_LINK)
-        places = (block.place for block in device.blocks(1, since) if _signed(block.tick - begin) >= 0)
+        device.probe.until(lambda: any(signed(b.tick - end) >= 0 for b in device.blocks(1, since)), SLOW_LINK)
+        places = (block.place for block in device.blocks(1, since) if signed(block.tick - begin) >= 0)
         return next(places, len(device.probe.heard))
 
     def stands(self) -> bool:
@@ -568,10 +561,9 @@ def watchdog(device: Device) -> str:
     """While turning, an unfed watchdog trips: FAULT, outputs off."""
     spin(device)
     device.probe.listen(RUN_UP)
-    device.probe.feed_every = None
     began = device.probe.now()
     with suppress(Unknown):  # what it says then is looked at
-        device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
+        device.trip()
     seconds = device.probe.now() - began
     beat = device.fresh()
     words = f"unfed for {seconds:.2f} s at {device.speed_rpm:g} r/min: {says(beat)}"

@@ -223,6 +223,6 @@ def changes_told(device: Device) -> str:
 @check("commit", "5.34 5.44")
 def commit(device: Device) -> str:
     """Without the feature COMMIT, PARAM_COMMIT is refused; with it, nothing is tried."""
-    if device.hello.features & Feature.COMMIT:
+    if device.offers(Feature.COMMIT):
         raise NotApplicable("parameters can be stored: not tried")
     return device.probe.refused(ErrorCode.NOT_SUPPORTED, 0, MessageType.PARAM_COMMIT)

@@ -343,9 +343,13 @@ class Probe:
         with suppress(NoAnswer):
             self.ask(MessageType.STREAM_STOP, struct.pack("<I", ALL_STREAMS))
         self.quiet()
+        self.forget()
+        return hello
+
+    def forget(self) -> None:
+        """Keep nothing of what came so far."""
         self.heard.clear()
         self.stream_frames.clear()
-        return hello
 
     def quiet(self) -> None:
         """Where streams have run, take the frames that are still under way."""

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 
+from bench.conform.captured import leave_waiting, look_for_held
 from bench.conform.catalogue import chosen
 from bench.conform.checks import Carrier, Check, Result
 from bench.conform.device import Device, NotAtRest
@@ -120,7 +121,7 @@ def conform(
             raise NoReply(forbidden or f"{options.target}: {ended}") from None
         run = Run(options, device.hello, line.bus)
         try:
-            device.look_at_capture()
+            look_for_held(device)
             _Course(run, rig, device, screen, told, forbidden).go()
         finally:  # another host has talked on this link
             rig.signal.uninterrupted(lambda: failures_of([client.connect]))
@@ -164,7 +165,7 @@ class _Course:
             self._all()
         finally:
             with suppress(Ended, LinkError):
-                self._device.give_up_capture()
+                leave_waiting(self._device)
         self._run.troubles += [f"not restored: {words}" for words in self._device.not_put_back]
 
     def _all(self) -> None:

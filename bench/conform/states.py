@@ -184,8 +184,7 @@ def wrong_states(device: Device) -> Iterator[str]:
             yield refusal(answer, ErrorCode.WRONG_STATE, state, f"FAULT_CLEAR {faults:#x} in {state.name}")
         _still(device, state)
     yield refusal(probe.command(Command.ARM, token), ErrorCode.WRONG_STATE, DriveState.RUNNING, "ARM in RUNNING")
-    probe.feed_every = None
-    device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
+    device.trip()
     for command, argument in ((Command.ARM, token), (Command.START, 0)):
         answer = probe.command(command, argument)
         yield refusal(answer, ErrorCode.WRONG_STATE, DriveState.FAULT, f"{command.name} in FAULT")
@@ -484,7 +483,7 @@ def told(device: Device) -> str:
         device.probe.listen(0.3 * BEAT_PERIOD)  # what is left and what has passed are not to be the same
         first, last = device.unfed()
         since = len(device.probe.heard)
-        device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
+        device.trip()
         for _, beat in device.probe.came(Heartbeat, since):
             least, most = (whole - 1e3 * (beat.tick - tick) / device.hz for tick in (first, last))
             if beat.state == state and beat.tick > last and not least - rough <= beat.watchdog_ms <= most + rough:
@@ -601,8 +600,7 @@ def idle_only(device: Device) -> str:
         (beyond, ErrorCode.OUT_OF_RANGE, told.hi),
     ):  # fmt: skip
         words.append(refusal(device.set(record, given), code, detail, f"{record.name} = {given:g} in RUNNING"))
-    device.probe.feed_every = None
-    device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
+    device.trip()
     words.append(accepted(device.set(record, value), f"{record.name} = {value:g} in FAULT"))
     return "; ".join(words)
 
@@ -636,7 +634,7 @@ def streams_anyway(device: Device) -> str:
             raise Failed(f"no frame of a stream came within {seconds:.2g} s in {state.name}")
         accepted(device.probe.ask(MessageType.STREAM_STOP, struct.pack("<I", 1)), f"STREAM_STOP in {state.name}")
         device.probe.quiet()
-        device.probe.heard.clear()
+        device.probe.forget()
     return "streams in RUNNING and in FAULT"
 
 

@@ -45,7 +45,7 @@ def set_refusals(device: Device) -> Iterator[str]:
         (f"channel {other}", (0, [first, other], 1, 20, 0), ErrorCode.UNKNOWN_ID, other),
         (f"channel {first} twice", (0, [first, first], 1, 20, 0), ErrorCode.BAD_VALUE, first),
     ]
-    if device.offers_edges:
+    if device.offers(Feature.EDGES):
         rows.append(("edges with two channels", (0, [first, first], 1, 20, 2), ErrorCode.BAD_VALUE, 2))
     else:
         rows.append(("edges", (0, [], 1, 20, 2), ErrorCode.NOT_SUPPORTED, 2))
@@ -81,7 +81,7 @@ def set_order(device: Device) -> Iterator[str]:
     yield refusal(never, ErrorCode.BAD_VALUE, 0, "a running stream and decimation 0")
     unknown = device.stream_set(0, [first], 1, 20, 9)
     yield refusal(unknown, ErrorCode.NOT_SUPPORTED, 9, "a running stream and event 9")
-    if device.offers_edges:
+    if device.offers(Feature.EDGES):
         edges = device.stream_set(0, [first], 1, 20, StreamEvent.EDGES)
         yield refusal(edges, ErrorCode.BAD_VALUE, 1, "a running stream and edges with a channel")
 
@@ -171,7 +171,7 @@ def get(device: Device) -> str:
         if info != wanted:
             raise Failed(f"STREAM_GET gives {info}, STREAM_SET gave {wanted}")
     words = f"cfg_id {told.reply.cfg_id}, decimation {told.asked.decimation}, channels {chosen}, running 0, then 1"
-    if not device.offers_edges:
+    if not device.offers(Feature.EDGES):
         return words
     reply = device.configure_edges(3, decimation=7, latency_ms=90).reply
     info = device.probe.get(StreamGet(3), StreamInfo)
@@ -267,7 +267,7 @@ def mask_selects(device: Device) -> str:
     """STREAM_START and STREAM_STOP act on the streams of the mask and on no other."""
     probe, first = device.probe, ids(device.channels[:1])
     device.configure(0, first, SLOW_HZ)
-    if device.offers_edges:
+    if device.offers(Feature.EDGES):
         device.configure_edges(2)
     else:
         device.configure(2, first, SLOW_HZ)
@@ -324,7 +324,7 @@ def memory(device: Device) -> str:
     chosen = device.fitting(device.channels)
     answer = device.stream_set(0, ids(chosen), MAX_DECIMATION, 200)
     words = accepted(answer, f"{counted(len(chosen), 'channel')} that fit in a frame")
-    if not device.offers_edges:
+    if not device.offers(Feature.EDGES):
         return words
     edges = device.stream_set(1, (), 1, 20, StreamEvent.EDGES)
     if edges.error is not None and edges.error.code == ErrorCode.DOES_NOT_FIT and edges.error.detail == 0:

@@ -106,7 +106,7 @@ def _of_all(plot: Plot, close: float, extent: Extent | None) -> Plot:
             return replace(plot, name=name)
         return replace(plot, name=f"{name}, {extent.words}", y_range=extent.shown or plot.y_range,
                        marked=extent.shown is not None)  # fmt: skip
-    return replace(plot, name=f"{plot.name.rpartition(', last')[0]}, last {close:.2g} s", seconds=close)
+    return replace(plot, name=f"{plot.title}, last {close:.2g} s", seconds=close)
 
 
 def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None) -> list[Shown]:

@@ -90,7 +90,7 @@ def _once(found: Iterable[Plot]) -> list[Plot]:
     shown: dict[tuple[tuple[str, bool, str], ...], Plot] = {}
     for plot in found:
         lines = tuple((line.channel, line.error, line.derived) for line in plot.lines)
-        shown.setdefault(lines, replace(plot, name=plot.name.rpartition(", last")[0]))
+        shown.setdefault(lines, replace(plot, name=plot.title))
     return list(shown.values())
 
 

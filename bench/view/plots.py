@@ -92,6 +92,11 @@ class Plot:
     """Component of the line without a colour that sees to it, see `schema.GUIDE`."""
 
     @property
+    def title(self) -> str:
+        """Its name without the time that it shows."""
+        return self.name.rpartition(", last")[0]
+
+    @property
     def beyond(self) -> str:
         """Component of the marks where it leaves peaks out, see `schema.BEYOND`."""
         return f"beyond:{self.guide}"
@@ -109,7 +114,7 @@ def waves_by_unit(run: RunInfo) -> list[Plot]:
     """All channels that are numbers, sample by sample, a plot for each unit."""
     numbers = [channel for channel in run.channels if channel.name not in run.words]
     found = [plot for plot in _by_unit(run, numbers).values() if plot.entity == schema.FAST]
-    return [replace(plot, name=plot.name.rpartition(", last")[0]) for plot in found]
+    return [replace(plot, name=plot.title) for plot in found]
 
 
 def trend_lines(run: RunInfo) -> tuple[list[Line], list[Line]]:

@@ -183,7 +183,7 @@ class Scope:
         for entity, lanes in self._scopes.items():
             picture = draw.framed(ticks, len(lanes), words)
             for k, plot in enumerate(lanes):
-                name = HALL_NAME if plot is None else plot.name.partition(", last")[0]
+                name = HALL_NAME if plot is None else plot.title
                 if plot is None:
                     self._draw_hall(picture, (k + 1) * PITCH, parts)
                 elif unknown := self._draw_plot(picture, (k + 1) * PITCH, plot, parts):

@@ -60,6 +60,11 @@ class Design:
         return self.k_tau * self["motor.i_max"]
 
     @property
+    def i_max(self) -> float:
+        """The largest current that the firmware asks for, A."""
+        return self["firmware.i_max"] or self["motor.i_max"]
+
+    @property
     def w(self) -> float:
         """The top speed, electrical, by that of the paper's motor."""
         return self["motor.n_p"] * self.top / PAPER_E
@@ -144,15 +149,15 @@ RULES: dict[str, tuple[int, Callable[[Design], float]]] = {
     "firmware.protection.hall_emf": (2, lambda d: 0.0125 * d["inverter.u_dc"]),
     "firmware.protection.u_dc_min": (3, lambda d: 0.5 * d["inverter.u_dc"]),
     "firmware.protection.u_dc_max": (3, lambda d: 4.0 / 3.0 * d["inverter.u_dc"]),
-    "firmware.protection.i_trip": (2, lambda d: 2.0 * (d["firmware.i_max"] or d["motor.i_max"])),
-    "firmware.protection.i_cont": (2, lambda d: 0.7 * (d["firmware.i_max"] or d["motor.i_max"])),
+    "firmware.protection.i_trip": (2, lambda d: 2.0 * d.i_max),
+    "firmware.protection.i_cont": (2, lambda d: 0.7 * d.i_max),
     "firmware.protection.i2t_max": (
         2,
-        lambda d: HELD * ((d["firmware.i_max"] or d["motor.i_max"]) ** 2 - d["firmware.protection.i_cont"] ** 2),
+        lambda d: HELD * (d.i_max**2 - d["firmware.protection.i_cont"] ** 2),
     ),
     "firmware.protection.u_test_max": (
         2,
-        lambda d: min(1.5 * d["motor.R_s"] * (d["firmware.i_max"] or d["motor.i_max"]), d.u_max),
+        lambda d: min(1.5 * d["motor.R_s"] * d.i_max, d.u_max),
     ),
     "firmware.protection.omega_m_trip": (2, lambda d: 1.2 * (d["firmware.omega_m_max"] or d.top)),
     # the inverter: its dead-time error reaches as far as the ripple

@@ -122,14 +122,10 @@ def placed_deg(own: Sequence[float], load: Mapping[str, float]) -> tuple[float, 
     """Placement of the Hall edges, degrees: the configuration's own figures as long as nobody has moved them."""
     given = [load[f"hall_delta_{s}"] for s in range(1, 7)]
     return tuple(
-        delta if moved == _f32(math.radians(delta)) else math.degrees(moved)
+        delta if moved == float(np.float32(math.radians(delta))) else math.degrees(moved)
         for delta, moved in zip(own, given, strict=True)
     )
 
 
 def _some(values: Mapping[str, float], *names: str) -> dict[str, float]:
     return {name: values[name] for name in names}
-
-
-def _f32(value: float) -> float:
-    return float(np.float32(value))

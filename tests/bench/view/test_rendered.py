@@ -18,6 +18,7 @@ import pytest
 from PIL import Image
 from virtual_run import WatchedLink, run, simulated
 
+from bench.record.info import RunInfo
 from bench.record.reader import Run
 from bench.signal.colours import BAD, GOOD, QUIET, RGB
 from bench.view.dashboard import SECOND_NAMES
@@ -94,17 +95,21 @@ def seen(picture: np.ndarray, colour: RGB, beside: float) -> int:
     return int((np.abs(looked_at - np.array(colour)).max(axis=2) <= NEAR).sum())
 
 
+def all_drawn(drawn: Page, info: RunInfo, keys: Iterable[str], view: str = "") -> None:
+    """The lines of these plots are seen, each in its own view, or all in this one."""
+    for plot in (plots(info)[key] for key in keys):
+        assert drawn.shows(view or plot.name, [line.colour for line in plot.lines], BESIDE_LEGENDS), plot.name
+
+
 @needs("Vulkan driver")
 def test_every_plot_of_the_first_page_shows_data(turning: tuple[int, Path], tmp_path: Path) -> None:
     speed, recording = turning
     info = Run(recording).info
     with page(recording, 0, tmp_path) as drawn:
-        for plot in (plots(info)[key] for key in FIRST_PAGE):
-            assert drawn.shows(plot.name, [line.colour for line in plot.lines], BESIDE_LEGENDS), plot.name
+        all_drawn(drawn, info, FIRST_PAGE)
         assert drawn.shows("Drive", [GOOD if speed else QUIET])
         assert drawn.shows("Stator plane", [info.colours["theta_enc"]], 0.5)
-        for plot in (plots(info)[key] for key in CLOSE_UPS):
-            assert drawn.shows(CLOSE_UP, [line.colour for line in plot.lines], BESIDE_LEGENDS), plot.name
+        all_drawn(drawn, info, CLOSE_UPS, CLOSE_UP)
         assert drawn.shows(CLOSE_UP, [(150, 150, 150)], BESIDE_LEGENDS)
         assert drawn.shows("Losses; summary at the end", [TEXT])
         assert seen(drawn.picture("Drive"), BAD, 0.0) == 0
@@ -129,10 +134,8 @@ def test_the_second_page_shows_what_is_defined_and_nothing_else(turning: tuple[i
 @needs("Vulkan driver")
 def test_the_third_page_shows_every_sample_of_the_last_moments(turning: tuple[int, Path], tmp_path: Path) -> None:
     _, recording = turning
-    info = Run(recording).info
     with page(recording, 2, tmp_path) as drawn:
-        for plot in (plots(info)[key] for key in CLOSE_UPS):
-            assert drawn.shows(plot.name, [line.colour for line in plot.lines], BESIDE_LEGENDS), plot.name
+        all_drawn(drawn, Run(recording).info, CLOSE_UPS)
         assert drawn.shows("Hall sensors and sector", [(150, 150, 150)])
 
 
