@@ -8,8 +8,8 @@
 #define REPLY 0x10u
 #define ERROR_FLAG 0x20u
 #define MAJOR_MASK 0x0Fu
-#define HEADER 8u
-#define CRC_BYTES 4u
+#define HEADER HBP_HEADER
+#define CRC_BYTES HBP_CRC_BYTES
 #define RECORD 32u
 #define STREAM_HEADER 16u
 #define EDGE_BYTES 8u
@@ -99,8 +99,8 @@ static int control(char letter)
 
 static int same_text(const char *a, const char *b)
 {
-    size_t n = text_length(a);
-    return n == text_length(b) && !memcmp(a, b, n);
+    while (*a && *a == *b) a++, b++;
+    return *a == *b;
 }
 
 static uint8_t *put_text(uint8_t *to, const char *text, size_t size)
@@ -175,16 +175,20 @@ uint32_t hbp_crc(uint32_t crc, const uint8_t *data, size_t n)
 
 /* ---- messages to the host ------------------------------------------------------------------------------------------------ */
 
+uint8_t *hbp_put_header(struct hbp *h, const struct hbp_message *message)
+{
+    uint8_t *start = h->link->work - HEADER, *to = start;
+    *to++ = message->type;
+    *to++ = message->flags;
+    to = hbp_put16(hbp_put16(to, message->tid), message->n);
+    *to++ = h->config->node;
+    *to = 0;
+    return start;
+}
+
 static int send(struct hbp *h, enum hbp_rank rank, uint8_t type, size_t n)
 {
-    struct hbp_message message;
-    memset(&message, 0, sizeof message);
-    message.type = type;
-    message.flags = HBP_MAJOR;
-    message.rank = rank;
-    message.payload = h->link->work;
-    message.n = (uint16_t)n;
-    message.transfer = HBP_NEXT_TRANSFER;
+    struct hbp_message message = {type, HBP_MAJOR, 0, (uint16_t)n, rank, HBP_NEXT_TRANSFER};
     return h->link->way->send(h, &message);
 }
 
@@ -274,10 +278,16 @@ static void ask_capture(struct hbp *h, uint8_t trigger)
 #endif
 }
 
+/* A refusal whose detail is a whole number. */
+uint16_t hbp_refuse(float *detail, uint16_t code, uint32_t number)
+{
+    *detail = (float)number;
+    return code;
+}
+
 static uint16_t wrong_state(const struct hbp *h, float *detail)
 {
-    *detail = (float)h->state;
-    return HBP_ERROR_WRONG_STATE;
+    return hbp_refuse(detail, HBP_ERROR_WRONG_STATE, h->state);
 }
 
 static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
@@ -366,10 +376,7 @@ static uint16_t arm(struct hbp *h, uint32_t token, float *detail)
 
 static uint16_t start(struct hbp *h, uint32_t argument, float *detail)
 {
-    if (argument) {
-        *detail = (float)argument;
-        return HBP_ERROR_BAD_VALUE;
-    }
+    if (argument) return hbp_refuse(detail, HBP_ERROR_BAD_VALUE, argument);
     if (!live(h)) return wrong_state(h, detail);
     return h->state == HBP_STATE_ARMED ? enter(h, HBP_STATE_RUNNING, detail) : 0;
 }
@@ -384,15 +391,9 @@ static uint16_t clear(struct hbp *h, uint32_t faults, float *detail)
 {
     uint32_t persist;
     if (h->state != HBP_STATE_FAULT) return wrong_state(h, detail);
-    if (faults != h->faults) {
-        *detail = (float)h->faults;
-        return HBP_ERROR_FAULTS_CHANGED;
-    }
+    if (faults != h->faults) return hbp_refuse(detail, HBP_ERROR_FAULTS_CHANGED, h->faults);
     persist = h->config->clear ? h->config->clear(h->config->user, faults) : 0;
-    if (persist) {
-        *detail = (float)persist;
-        return HBP_ERROR_FAULT_PERSISTS;
-    }
+    if (persist) return hbp_refuse(detail, HBP_ERROR_FAULT_PERSISTS, persist);
     h->faults = h->first_fault = 0;
     return enter(h, HBP_STATE_IDLE, detail);
 }
@@ -413,14 +414,8 @@ static uint16_t hello(struct hbp *h, const uint8_t *in, size_t *n, float *detail
     uint32_t nonce = hbp_get32(in);
     uint16_t rx_max = hbp_get16(in + 6);
     uint8_t *to = h->link->work;
-    if (in[4] > HBP_MAJOR || in[5] < HBP_MAJOR) {
-        *detail = HBP_MAJOR;
-        return HBP_ERROR_BAD_VERSION;
-    }
-    if (rx_max < 128) {
-        *detail = 128.0f;
-        return HBP_ERROR_OUT_OF_RANGE;
-    }
+    if (in[4] > HBP_MAJOR || in[5] < HBP_MAJOR) return hbp_refuse(detail, HBP_ERROR_BAD_VERSION, HBP_MAJOR);
+    if (rx_max < 128) return hbp_refuse(detail, HBP_ERROR_OUT_OF_RANGE, 128);
     if (!h->peer->greeted || nonce != h->peer->nonce || rx_max != h->peer->rx_max) { /* a new host may use the same tids again */
         for (unsigned k = 0; k < HBP_KEPT; k++) h->peer->kept[k].there = 0;
         h->peer->nonce = nonce;
@@ -532,10 +527,8 @@ static size_t blob_reply(struct hbp *h, uint8_t id, uint32_t offset, uint32_t le
 static uint16_t blob_read(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
 {
     uint32_t wanted = hbp_get16(in + 2), offset = hbp_get32(in + 4), total, room = h->peer->tx_max - 12u;
-    *detail = (float)in[0];
-    if (!find_blob(h, in[0], &total)) return HBP_ERROR_UNKNOWN_ID;
-    *detail = (float)total;
-    if (offset > total) return HBP_ERROR_OUT_OF_RANGE;
+    if (!find_blob(h, in[0], &total)) return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, in[0]);
+    if (offset > total) return hbp_refuse(detail, HBP_ERROR_OUT_OF_RANGE, total);
     if (wanted > room) wanted = room;
     if (wanted > total - offset) wanted = total - offset;
     *n = blob_reply(h, in[0], offset, wanted, total);
@@ -547,14 +540,11 @@ static uint16_t blob_write(struct hbp *h, const uint8_t *in, size_t *n, float *d
 {
     uint32_t more = hbp_get16(in + 2), offset = hbp_get32(in + 4), total;
     *n = 0;
-    *detail = (float)in[0];
-    if (!find_blob(h, in[0], &total)) return HBP_ERROR_UNKNOWN_ID;
-    if (in[0] != WAVEFORM) return HBP_ERROR_READ_ONLY;
-    *detail = (float)total;
-    if (offset > total || more > total - offset) return HBP_ERROR_OUT_OF_RANGE;
-    *detail = (float)in[0];
-    if (h->test != HBP_NONE &&
-        (parameter_value(h, h->test) < 0.0f || parameter_value(h, h->test) > 0.0f)) return HBP_ERROR_BUSY;
+    if (!find_blob(h, in[0], &total)) return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, in[0]);
+    if (in[0] != WAVEFORM) return hbp_refuse(detail, HBP_ERROR_READ_ONLY, in[0]);
+    if (offset > total || more > total - offset) return hbp_refuse(detail, HBP_ERROR_OUT_OF_RANGE, total);
+    if (h->test != HBP_NONE && (parameter_value(h, h->test) < 0.0f || parameter_value(h, h->test) > 0.0f))
+        return hbp_refuse(detail, HBP_ERROR_BUSY, in[0]);
 #if HBP_LITTLE_ENDIAN
     memcpy((uint8_t *)h->config->waveform + offset, in + 8, more);
 #else
@@ -575,8 +565,7 @@ static uint16_t parameter(const struct hbp *h, const uint8_t *in, uint16_t *k, f
     uint16_t id = hbp_get16(in);
     for (*k = 0; *k < h->config->n_parameters; ++*k)
         if (h->config->parameters[*k].id == id) return 0;
-    *detail = (float)id;
-    return HBP_ERROR_UNKNOWN_ID;
+    return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, id);
 }
 
 static uint16_t param_get(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
@@ -599,10 +588,7 @@ static uint16_t param_set(struct hbp *h, const uint8_t *in, size_t *n, float *de
     float value = hbp_get_float(in + 4);
     if (code) return code;
     p = &config->parameters[k];
-    if (p->flags & HBP_FLAG_READ_ONLY) {
-        *detail = (float)p->id;
-        return HBP_ERROR_READ_ONLY;
-    }
+    if (p->flags & HBP_FLAG_READ_ONLY) return hbp_refuse(detail, HBP_ERROR_READ_ONLY, p->id);
     *detail = value;
     if (!hbp_finite(value) || ((p->flags & HBP_FLAG_WHOLE) && !whole_number(value))) return HBP_ERROR_BAD_VALUE;
     *detail = value < p->lo ? p->lo : p->hi;
@@ -631,7 +617,7 @@ static uint16_t state_cmd(struct hbp *h, const uint8_t *in, size_t *n, float *de
     case HBP_COMMAND_START: code = start(h, argument, detail); break;
     case HBP_COMMAND_STOP: hbp_stop(h); break;
     case HBP_COMMAND_FAULT_CLEAR: code = clear(h, argument, detail); break;
-    default: *detail = (float)in[0]; return HBP_ERROR_BAD_VALUE;
+    default: return hbp_refuse(detail, HBP_ERROR_BAD_VALUE, in[0]);
     }
     h->link->work[0] = h->state;
     memset(h->link->work + 1, 0, 3);
@@ -749,10 +735,9 @@ uint16_t hbp_choose(const struct hbp *h, const uint8_t *ids, uint32_t n, uint32_
     for (uint32_t k = 0; k < n; k++) {
         uint16_t id = hbp_get16(ids + 2 * k);
         const struct hbp_channel *channel = hbp_find_channel(h, id);
-        *detail = (float)id;
-        if (!channel) return HBP_ERROR_UNKNOWN_ID;
+        if (!channel) return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, id);
         for (uint32_t before = 0; before < k; before++)
-            if (hbp_get16(ids + 2 * before) == id) return HBP_ERROR_BAD_VALUE;
+            if (hbp_get16(ids + 2 * before) == id) return hbp_refuse(detail, HBP_ERROR_BAD_VALUE, id);
         *bytes += hbp_widths[channel->type];
     }
     return 0;
@@ -768,14 +753,11 @@ static uint16_t configure(struct hbp *h, struct hbp_stream *s, const uint8_t *in
 {
     uint16_t channels = s->channels, code;
     uint32_t bytes;
-    *detail = (float)s->event;
     if (s->event == HBP_STREAM_EDGES && (h->config->features & HBP_FEATURE_EDGES)) {
-        *detail = (float)channels;
-        if (channels) return HBP_ERROR_BAD_VALUE;
+        if (channels) return hbp_refuse(detail, HBP_ERROR_BAD_VALUE, channels);
         s->record_bytes = EDGE_BYTES;
     } else {
-        if (s->event != HBP_STREAM_PWM) return HBP_ERROR_NOT_SUPPORTED;
-        *detail = 0.0f;
+        if (s->event != HBP_STREAM_PWM) return hbp_refuse(detail, HBP_ERROR_NOT_SUPPORTED, s->event);
         if (!s->decimation || !channels) return HBP_ERROR_BAD_VALUE;
         code = hbp_choose(h, in + 8, channels, &bytes, detail);
         if (code) return code;
@@ -788,16 +770,9 @@ static uint16_t configure(struct hbp *h, struct hbp_stream *s, const uint8_t *in
 static uint16_t fit(struct hbp *h, struct hbp_stream *s, const struct hbp_stream *mine, float *share, float *detail)
 {
     uint32_t fits = h->link->way->shape(h, s);
-    if (fits) {
-        *detail = (float)fits;
-        return HBP_ERROR_DOES_NOT_FIT;
-    }
+    if (fits) return hbp_refuse(detail, HBP_ERROR_DOES_NOT_FIT, fits);
     *share = load(h, mine, s->rate);
-    if (*share > MAX_LOAD) {
-        *detail = (float)decimation_that_fits(h, mine, s);
-        return HBP_ERROR_DOES_NOT_FIT;
-    }
-    *detail = 0.0f;
+    if (*share > MAX_LOAD) return hbp_refuse(detail, HBP_ERROR_DOES_NOT_FIT, decimation_that_fits(h, mine, s));
     if (s->event == HBP_STREAM_PWM) {
         uint32_t header = sizeof(struct hbp_block), most = HBP_POOL_BYTES / 2u - header;
         if ((uint32_t)s->block * s->record_bytes > most) s->block = (uint16_t)(most / s->record_bytes);
@@ -815,8 +790,7 @@ static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t *n, float *d
     float share = 0.0f;
     uint16_t code;
     uint8_t *to = h->link->work;
-    *detail = (float)(HBP_STREAMS - 1);
-    if (in[0] >= HBP_STREAMS) return HBP_ERROR_OUT_OF_RANGE;
+    if (in[0] >= HBP_STREAMS) return hbp_refuse(detail, HBP_ERROR_OUT_OF_RANGE, HBP_STREAMS - 1);
     memset(&wanted, 0, sizeof wanted);
     wanted.number = in[0];
     wanted.event = in[1];
@@ -827,8 +801,7 @@ static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t *n, float *d
     wanted.counts_samples = h->link->way->counts_samples;
     code = configure(h, &wanted, in, detail);
     if (code) return code;
-    *detail = (float)in[0];
-    if (s->running) return HBP_ERROR_BUSY;
+    if (s->running) return hbp_refuse(detail, HBP_ERROR_BUSY, in[0]);
     code = fit(h, &wanted, s, &share, detail);
     if (!code) code = h->link->way->open(h, &wanted, detail);
     if (code) return code;
@@ -852,10 +825,8 @@ static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t *n, float *d
     uint16_t channels = s->channels, most = (uint16_t)((h->peer->tx_max - 26u) / 2u);
     uint8_t *to = h->link->work;
     if (channels > most) channels = most;
-    *detail = (float)(HBP_STREAMS - 1);
-    if (in[0] >= HBP_STREAMS) return HBP_ERROR_OUT_OF_RANGE;
-    *detail = (float)in[0];
-    if (!s->configured) return HBP_ERROR_UNKNOWN_ID;
+    if (in[0] >= HBP_STREAMS) return hbp_refuse(detail, HBP_ERROR_OUT_OF_RANGE, HBP_STREAMS - 1);
+    if (!s->configured) return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, in[0]);
     *to++ = s->number;
     *to++ = s->running;
     *to++ = s->event;
@@ -871,10 +842,8 @@ static uint16_t stream_start(struct hbp *h, const uint8_t *in, size_t *n, float 
 {
     uint32_t mask = hbp_get32(in);
     *n = 0;
-    for (unsigned k = 0; k < 32; k++) {
-        *detail = (float)k;
-        if ((mask >> k & 1u) && (k >= HBP_STREAMS || !h->streams[k].configured)) return HBP_ERROR_UNKNOWN_ID;
-    }
+    for (unsigned k = 0; k < 32; k++)
+        if ((mask >> k & 1u) && (k >= HBP_STREAMS || !h->streams[k].configured)) return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, k);
     for (unsigned k = 0; k < HBP_STREAMS; k++) {
         struct hbp_stream *s = &h->streams[k];
         if (!(mask >> k & 1u) || s->running) continue;
@@ -917,7 +886,6 @@ static uint16_t stream_stop(struct hbp *h, const uint8_t *in, size_t *n, float *
         if (!(mask >> k & 1u) || !s->configured) continue;
         s->configured = 0;
         s->running = 0;
-        h->link->way->close(h, s);
         if (s->event == HBP_STREAM_EDGES && s->waits) s->lost++; /* those that come meanwhile are not its own any more */
     }
     return 0;
@@ -1231,15 +1199,9 @@ struct request {
 
 static uint8_t reply(struct hbp *h, const struct request *request, uint8_t flags, size_t n, uint8_t transfer)
 {
-    struct hbp_message message;
-    memset(&message, 0, sizeof message);
-    message.type = request->type;
-    message.flags = (uint8_t)(HBP_MAJOR | flags);
-    message.tid = request->tid;
-    message.rank = HBP_RANK_REPLY;
-    message.payload = h->link->work;
-    message.n = (uint16_t)n;
-    message.transfer = transfer;
+    struct hbp_message message = {
+        request->type, (uint8_t)(HBP_MAJOR | flags), request->tid, (uint16_t)n, HBP_RANK_REPLY, transfer,
+    };
     h->link->way->send(h, &message);
     return message.transfer;
 }
@@ -1472,7 +1434,7 @@ uint32_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_co
 
 struct encoder { /* COBS into the transmit queue, of which nothing is sent before it is whole */
     struct hbp_link *link;
-    uint32_t at, code_at, crc;
+    uint32_t at, code_at;
     unsigned code;
 };
 
@@ -1509,12 +1471,6 @@ static void put_encoded(struct encoder *e, const uint8_t *data, size_t n)
     }
 }
 
-static void put_checked(struct encoder *e, const uint8_t *data, size_t n)
-{
-    e->crc = hbp_crc(e->crc, data, n);
-    put_encoded(e, data, n);
-}
-
 static uint32_t encoded_length(uint32_t payload)
 {
     uint32_t body = HEADER + payload + CRC_BYTES;
@@ -1524,49 +1480,28 @@ static uint32_t encoded_length(uint32_t payload)
 #define REPLY_ROOM (HBP_TX_MAX + 20u) /* bytes of the queue that streams leave to replies */
 #define WAIT 0.05f                    /* s that streams may let a reply wait, and a frame, where the rate is known */
 
-static int put_frame(struct hbp_link *link, const uint8_t *header, enum hbp_rank rank, const uint8_t *head, size_t n_head,
-                     const uint8_t *body, size_t n_body)
+static int byte_send(struct hbp *h, struct hbp_message *message)
 {
+    struct hbp_link *link = (struct hbp_link *)(void *)h->link;
     struct encoder e;
-    uint8_t crc[CRC_BYTES];
-    uint32_t used = link->head - link->tail, needed = encoded_length((uint32_t)(n_head + n_body));
-    if (rank == HBP_RANK_STREAM) needed += REPLY_ROOM;
-    else if (rank != HBP_RANK_REPLY) needed += REPLY_ROOM / 2u;
+    size_t n = HEADER + message->n;
+    uint8_t *raw = hbp_put_header(h, message);
+    uint32_t used = link->head - link->tail, needed = encoded_length(message->n);
+    if (message->rank == HBP_RANK_STREAM) needed += REPLY_ROOM;
+    else if (message->rank != HBP_RANK_REPLY) needed += REPLY_ROOM / 2u;
     if (used + needed > HBP_TX_BYTES) return 0;
-    if (rank == HBP_RANK_STREAM && link->base.capacity > 0.0f && (float)used > WAIT * link->base.capacity) return 0;
+    if (message->rank == HBP_RANK_STREAM && link->base.capacity > 0.0f && (float)used > WAIT * link->base.capacity) return 0;
     HBP_BARRIER();
+    hbp_put32(raw + n, hbp_crc(0xFFFFFFFFu, raw, n) ^ 0xFFFFFFFFu);
     e.link = link;
     e.at = link->head;
-    e.crc = 0xFFFFFFFFu;
     put_raw(&e, 0);
     begin_group(&e);
-    put_checked(&e, header, HEADER);
-    put_checked(&e, head, n_head);
-    put_checked(&e, body, n_body);
-    hbp_put32(crc, e.crc ^ 0xFFFFFFFFu);
-    put_encoded(&e, crc, sizeof crc);
+    put_encoded(&e, raw, n + CRC_BYTES);
     end_group(&e);
     put_raw(&e, 0);
     HBP_BARRIER();
     link->head = e.at;
-    return 1;
-}
-
-static void put_header(uint8_t *to, const struct hbp *h, uint8_t type, uint8_t flags, uint16_t tid, size_t n)
-{
-    to[0] = type;
-    to[1] = flags;
-    hbp_put16(hbp_put16(to + 2, tid), (uint32_t)n);
-    to[6] = h->config->node;
-    to[7] = 0;
-}
-
-static int byte_send(struct hbp *h, struct hbp_message *message)
-{
-    struct hbp_link *link = (struct hbp_link *)(void *)h->link;
-    uint8_t header[HEADER];
-    put_header(header, h, message->type, message->flags, message->tid, message->n);
-    if (!put_frame(link, header, message->rank, message->payload, message->n, NULL, 0)) return 0;
     if (message->rank == HBP_RANK_BEAT) h->beat = link->head;
     return 1;
 }
@@ -1599,43 +1534,30 @@ static uint16_t byte_open(struct hbp *h, struct hbp_stream *s, float *detail)
     return 0;
 }
 
-static void byte_close(struct hbp *h, struct hbp_stream *s)
+/* Records stand behind the header of a stream frame. */
+static int send_records(struct hbp *h, const struct hbp_stream *s, uint8_t type, const struct hbp_block *block, uint32_t tick)
 {
-    (void)h, (void)s;
-}
-
-static int byte_stream(struct hbp *h, const struct hbp_stream *s, uint8_t type, const uint8_t head[STREAM_HEADER],
-                       const uint8_t *records, size_t n)
-{
-    uint8_t header[HEADER];
-    (void)s;
-    put_header(header, h, type, HBP_MAJOR, 0, STREAM_HEADER + n);
-    return put_frame((struct hbp_link *)(void *)h->link, header, HBP_RANK_STREAM, head, STREAM_HEADER, records, n);
-}
-
-static void put_stream_header(uint8_t *to, const struct hbp_stream *s, uint32_t flags, uint32_t n, uint32_t seq)
-{
+    uint8_t *to = h->link->work;
     *to++ = s->number;
-    *to++ = (uint8_t)flags;
-    hbp_put16(hbp_put16(hbp_put16(to, n), s->cfg_id), seq);
+    *to++ = (uint8_t)block->flags;
+    to = hbp_put16(hbp_put16(hbp_put16(to, block->n), s->cfg_id), block->seq);
+    hbp_put32(hbp_put32(to, block->index), tick);
+    return send(h, HBP_RANK_STREAM, type, STREAM_HEADER + (size_t)block->n * s->record_bytes);
 }
 
 static int byte_samples(struct hbp *h, struct hbp_stream *s, const struct hbp_block *block, const uint8_t *records)
 {
-    uint8_t head[STREAM_HEADER];
-    put_stream_header(head, s, block->flags, block->n, block->seq);
-    hbp_put32(hbp_put32(head + 8, block->index), (uint32_t)h->config->tick0 + block->index * h->period);
-    return byte_stream(h, s, HBP_TYPE_DATA, head, records, (size_t)block->n * s->record_bytes);
+    memcpy(h->link->work + STREAM_HEADER, records, (size_t)block->n * s->record_bytes);
+    return send_records(h, s, HBP_TYPE_DATA, block, (uint32_t)h->config->tick0 + block->index * h->period);
 }
 
 static int byte_edges(struct hbp *h, struct hbp_stream *s, uint16_t n)
 {
-    uint8_t head[STREAM_HEADER], *to = h->link->work;
     const struct hbp_hall_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
-    put_stream_header(head, s, s->edge_flags, n, s->edge_seq);
-    hbp_put32(hbp_put32(head + 8, first->index), first->tick);
+    struct hbp_block block = {first->index, s->edge_seq, n, s->edge_flags};
+    uint8_t *to = h->link->work + STREAM_HEADER;
     for (unsigned k = 0; k < n; k++) to = hbp_put_edge(to, &h->ring[(s->edge + k) & (HBP_EDGES - 1u)], 0);
-    return byte_stream(h, s, HBP_TYPE_EDGES, head, h->link->work, (size_t)n * EDGE_BYTES);
+    return send_records(h, s, HBP_TYPE_EDGES, &block, first->tick);
 }
 
 uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags)
@@ -1647,7 +1569,7 @@ uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t fla
 }
 
 static const struct hbp_way byte_way = {
-    byte_send, byte_beats, byte_shape, byte_open, byte_close, byte_samples, byte_edges, 0,
+    byte_send, byte_beats, byte_shape, byte_open, byte_samples, byte_edges, 0,
 };
 
 void hbp_link_init_sized(struct hbp_link *link, float bytes_per_s, size_t size)
@@ -1655,6 +1577,7 @@ void hbp_link_init_sized(struct hbp_link *link, float bytes_per_s, size_t size)
     if (size != sizeof *link) return; /* hbp_add tells it */
     memset(link, 0, sizeof *link);
     link->base.way = &byte_way;
+    link->base.work = link->made + HEADER;
     link->base.capacity = bytes_per_s;
     link->base.most = link->base.most_news = HBP_TX_MAX;
     link->skipping = 1;

@@ -456,24 +456,25 @@ struct hbp_hall_edge {
 struct hbp_stream {
     /* the main loop's; the interrupt reads them while the stream runs */
     uint8_t number, configured, event, slot, pool, groups, counts_samples; /* frames of a block; on CAN, what `seq` is */
+    volatile uint8_t running;
+    uint8_t edge_flags, waits;
+    uint8_t aligned, dropping, flags; /* the interrupt's */
     uint16_t decimation, latency_ms, cfg_id, record_bytes, block, channels;
     uint16_t stride;             /* words from block to block */
+    uint16_t edge, edge_seq;     /* edge to be sent next, and the number of its frame */
+    uint16_t filled, seq;        /* the interrupt's */
     uint32_t places;             /* blocks that there is room for */
-    uint16_t take[HBP_CHANNELS]; /* positions in the table of channels */
     float rate;                  /* what it needs of the link */
     uint32_t lost;               /* frames dropped by the main loop */
     uint32_t read;               /* block to be sent next */
-    uint16_t edge, edge_seq;     /* edge to be sent next, and the number of its frame */
-    uint8_t edge_flags, waits;
     uint32_t edge_index, since;  /* number that the next edge should have; tick at which the oldest that waits was seen */
     volatile uint32_t tail;      /* blocks taken */
-    volatile uint8_t running;
     /* the interrupt's */
-    uint8_t aligned, dropping, flags;
-    uint16_t filled, seq;
     uint32_t next, write;
     volatile uint32_t head;      /* blocks made */
     volatile uint32_t dropped;   /* frames for which there was no place */
+    /* the main loop's, as above */
+    uint16_t take[HBP_CHANNELS]; /* positions in the table of channels */
 };
 
 #if HBP_CAPTURE
@@ -535,34 +536,37 @@ struct hbp_capture {
 };
 #endif
 
-struct hbp { /* a device */
+struct hbp { /* a device; what is used most stands in front, where a Cortex-M reaches it with instructions of 16 bits */
     const struct hbp_config *config;
     struct hbp_link_base *link;
-    struct hbp *other; /* the next one on the link */
+    struct hbp_peer *peer; /* whose request is being answered */
 #if HBP_CAPTURE
     struct hbp_capture *capture; /* null: no memory for it */
-    struct hbp_capture captured;
 #endif
-    uint32_t features, boot_id, schema_crc, period; /* period: ticks of a PWM period */
-    uint64_t now, fed, armed, next_heartbeat;
-    uint32_t faults, first_fault, dropped, beat;
-    uint16_t setpoint_counter, setpoints_rejected, last_tid, cfg_id;
-    uint16_t watchdog, test; /* positions of these parameters, HBP_NONE: there is none */
+    uint64_t now;
     uint8_t state;
-    struct hbp_peer *peer; /* whose request is being answered */
-    struct hbp_peer peers[HBP_HOSTS];
-    struct hbp_stream streams[HBP_STREAMS];
-    uint32_t pools[HBP_POOLS][HBP_POOL_BYTES / 4];
+    volatile uint8_t permit;
+    uint16_t watchdog, test; /* positions of these parameters, HBP_NONE: there is none */
+    uint16_t setpoint_counter, setpoints_rejected, last_tid, cfg_id;
+    volatile uint16_t edge_head, edge_tail;
+    volatile uint32_t edges; /* since boot */
+    uint32_t features, boot_id, schema_crc, period; /* period: ticks of a PWM period */
+    uint32_t faults, first_fault, dropped, beat;
     /* between main loop and interrupts */
     volatile uint32_t raised, seen; /* faults, with a count above them */
     volatile uint32_t leash, leash_ticks, runs; /* when the host was heard of, for how long that does, how often RUNNING began */
-    volatile uint8_t permit;
     volatile uint32_t cut;   /* the interrupt's: `runs` when the leash ran out */
+    volatile uint32_t periods; /* the low bits of `index` */
     uint64_t index;          /* the interrupt's: PWM periods since boot */
-    volatile uint32_t periods; /* its low bits */
-    volatile uint32_t edges; /* since boot */
-    volatile uint16_t edge_head, edge_tail;
+    uint64_t fed, armed, next_heartbeat;
+    struct hbp *other; /* the next one on the link */
+#if HBP_CAPTURE
+    struct hbp_capture captured;
+#endif
     struct hbp_hall_edge ring[HBP_EDGES];
+    struct hbp_peer peers[HBP_HOSTS];
+    struct hbp_stream streams[HBP_STREAMS];
+    uint32_t pools[HBP_POOLS][HBP_POOL_BYTES / 4];
 };
 
 struct hbp_link_base { /* what all kinds of link have */
@@ -573,7 +577,7 @@ struct hbp_link_base { /* what all kinds of link have */
     float capacity;        /* what it carries, 0: not known */
     uint16_t most, most_news; /* bytes of a payload for which its queue has room: of a reply, of a LOG */
     uint8_t nodes;
-    uint8_t work[HBP_TX_MAX];
+    uint8_t *work;         /* where payloads are made: HBP_TX_MAX bytes, with room for a header before and a CRC behind them */
 };
 
 struct hbp_link { /* a byte link */
@@ -581,7 +585,7 @@ struct hbp_link { /* a byte link */
     uint16_t decoded, encoded; /* bytes of the frame that is coming in */
     uint8_t code, left, skipping, broken;
     volatile uint32_t head, tail; /* bytes ever queued and taken */
-    uint8_t rx[8 + HBP_RX_MAX + 4];
+    uint8_t rx[8 + HBP_RX_MAX + 4], made[8 + HBP_TX_MAX + 4]; /* frames */
     uint8_t tx[HBP_TX_BYTES];
 };
 

@@ -44,7 +44,7 @@ static void set_clock(struct hbp_can *can, uint64_t now)
 
 static int is_fd(const struct hbp_can *can)
 {
-    return can->bus->data_bitrate != 0;
+    return HBP_CAN_BYTES > 8 && can->bus->data_bitrate != 0;
 }
 
 /* Bytes of a message that a frame has. */
@@ -91,16 +91,16 @@ static uint32_t room(const struct hbp_can *can, unsigned queue)
 }
 
 /* A frame with `n` bytes of data, filled up on an FD bus, `ahead` of those that are to be sent. */
-static uint8_t *new_frame(struct hbp_can *can, unsigned queue, uint32_t ahead, uint32_t id, uint32_t n)
+static struct hbp_can_frame *new_frame(struct hbp_can *can, unsigned queue, uint32_t ahead, uint32_t id, uint32_t n)
 {
     struct hbp_can_frame *frame = frame_at(can, queue, can->head[queue] + ahead);
-    uint32_t length = is_fd(can) ? padded(n) : n;
+    if (is_fd(can)) n = padded(n);
     frame->id = id;
     frame->stamp = can->now;
     frame->streamed = (uint8_t)queue;
-    frame->length = (uint8_t)length;
-    memset(frame->data, 0, length);
-    return frame->data;
+    frame->length = (uint8_t)n;
+    memset(frame->data, 0, n);
+    return frame;
 }
 
 static void queue_frames(struct hbp_can *can, unsigned queue, uint32_t n)
@@ -140,38 +140,29 @@ void hbp_can_gave_up(struct hbp_can *can)
 static int can_send(struct hbp *h, struct hbp_message *message)
 {
     struct hbp_can *can = can_of(h);
-    int reply = (message->flags & REPLY) != 0, fresh = message->transfer == HBP_NEXT_TRANSFER, fits;
-    uint32_t slot = reply ? can->host : message->type & 15u;
-    uint8_t *next = &can->next[reply ? slot : 14u + slot]; /* 2, 3, 4 come behind the hosts */
-    uint32_t part = part_of(can), length = HEADER + message->n, frames, crc, sent = 0;
-    uint8_t raw[8], start[HEADER], end[CRC_BYTES];
-    if (fresh) message->transfer = *next;
-    raw[0] = message->type;
-    raw[1] = message->flags;
-    hbp_put16(hbp_put16(raw + 2, message->tid), message->n);
-    raw[6] = h->config->node;
-    raw[7] = 0;
-    memcpy(start, raw, HEADER);
-    if (length > part) {
-        crc = hbp_crc(hbp_crc(0xFFFFFFFFu, raw, sizeof raw), message->payload, message->n);
-        hbp_put32(end, crc ^ 0xFFFFFFFFu);
-        length += CRC_BYTES;
+    int is_reply = message->rank == HBP_RANK_REPLY, fresh = message->transfer == HBP_NEXT_TRANSFER, fits;
+    uint32_t slot = is_reply ? can->host : message->type & 15u, id = id_of(h, is_reply ? TO_HOST : STATUS, slot);
+    uint8_t *next = &can->next[is_reply ? slot : 14u + slot]; /* 2, 3, 4 come behind the hosts */
+    uint8_t *raw = hbp_put_header(h, message), *from = raw + HBP_HEADER - HEADER, header[HEADER], tail = START_BIT | TOGGLE;
+    uint32_t part = part_of(can), left = HEADER + message->n, frames;
+    if (left > part) {
+        hbp_put32(from + left, hbp_crc(0xFFFFFFFFu, raw, HBP_HEADER + message->n) ^ 0xFFFFFFFFu);
+        left += CRC_BYTES;
     }
-    frames = (length + part - 1u) / part;
-    fits = frames + (message->rank == HBP_RANK_REPLY ? 0 : HBP_CAN_MESSAGES / 2u) <= room(can, MESSAGES);
-    if (fresh && (fits || reply)) *next = (uint8_t)((*next + 1u) & ID_MASK); /* a reply that is kept has its id, sent or not */
+    memcpy(header, raw, HEADER); /* without the node */
+    memcpy(from, header, HEADER);
+    frames = (left + part - 1u) / part;
+    fits = frames + (is_reply ? 0 : HBP_CAN_MESSAGES / 2u) <= room(can, MESSAGES);
+    if (fresh) message->transfer = *next;
+    if (fresh && (fits || is_reply)) *next = (uint8_t)((*next + 1u) & ID_MASK); /* a reply that is kept has its id, sent or not */
     if (!fits) return 0;
     for (uint32_t k = 0; k < frames; k++) {
-        uint32_t n = length - sent < part ? length - sent : part;
-        uint32_t id = id_of(h, reply ? TO_HOST : STATUS, slot), toggle = k & 1u ? 0 : TOGGLE;
-        uint8_t *data = new_frame(can, MESSAGES, k, id, n + 1u);
-        for (uint32_t i = 0; i < n; i++, sent++) {
-            if (sent < HEADER) data[i] = start[sent];
-            else if (sent < HEADER + message->n) data[i] = message->payload[sent - HEADER];
-            else data[i] = end[sent - HEADER - message->n];
-        }
-        data[(is_fd(can) ? padded(n + 1u) : n + 1u) - 1u] =
-            (uint8_t)((k ? 0 : START_BIT) | (k + 1u == frames ? END_BIT : 0) | toggle | message->transfer);
+        uint32_t n = left < part ? left : part;
+        struct hbp_can_frame *frame = new_frame(can, MESSAGES, k, id, n + 1u);
+        memcpy(frame->data, from, n);
+        from += n, left -= n;
+        frame->data[frame->length - 1u] = (uint8_t)(tail | (left ? 0 : END_BIT) | message->transfer);
+        tail = (tail ^ TOGGLE) & TOGGLE;
     }
     queue_frames(can, MESSAGES, frames);
     if (message->rank == HBP_RANK_BEAT) h->beat = can->head[MESSAGES];
@@ -267,13 +258,8 @@ static uint16_t can_open(struct hbp *h, struct hbp_stream *wanted, float *detail
             return 0;
         }
     }
-    *detail = 0.0f;
+    (void)detail;
     return HBP_ERROR_DOES_NOT_FIT;
-}
-
-static void can_close(struct hbp *h, struct hbp_stream *s)
-{
-    (void)h, (void)s;
 }
 
 /* ---- streams to the host --------------------------------------------------------------------------------------------------- */
@@ -290,7 +276,7 @@ static int can_samples(struct hbp *h, struct hbp_stream *s, const struct hbp_blo
     for (unsigned k = 0; k < s->channels; frames++) {
         uint32_t bytes = group(h, s, &k) * (s->groups == 1 ? block->n : 1u);
         uint32_t slot = (s->slot + frames) % 32u;
-        uint8_t *data = new_frame(can, STREAMED, frames, id_of(h, SAMPLE_CLASS + slot / 16u, slot % 16u), counter + bytes);
+        uint8_t *data = new_frame(can, STREAMED, frames, id_of(h, SAMPLE_CLASS + slot / 16u, slot % 16u), counter + bytes)->data;
         if (is_fd(can)) hbp_put32(data, block->index);
         else hbp_put16(data, block->seq);
         memcpy(data + counter, records, bytes);
@@ -310,7 +296,7 @@ static int can_edges(struct hbp *h, struct hbp_stream *s, uint16_t n)
         return 1;
     }
     if (!room(can, STREAMED)) return 0;
-    hbp_put_edge(new_frame(can, STREAMED, 0, id_of(h, EDGE_CLASS, s->slot), 8u), edge, (uint8_t)edge->index);
+    hbp_put_edge(new_frame(can, STREAMED, 0, id_of(h, EDGE_CLASS, s->slot), 8u)->data, edge, (uint8_t)edge->index);
     queue_frames(can, STREAMED, 1u);
     return 1;
 }
@@ -331,68 +317,64 @@ static struct hbp_transfer *transfer_of(struct hbp_can *can, uint16_t key)
     return oldest;
 }
 
-/* Whether a message is whole; then header and payload, as on a byte link, stand at `buffer`. */
-static int finish(struct hbp_can *can, struct hbp_transfer *t, int single)
+/* Whether what has come is a message; then header and payload, as on a byte link, stand at `buffer`. */
+static int is_whole(struct hbp_transfer *t, int single)
 {
-    uint8_t *body = t->buffer + 2, header[HEADER], crc[CRC_BYTES];
+    uint8_t *body = t->buffer + 2, header[HEADER];
     uint32_t length = t->n < HEADER ? 0 : body[4] | (uint32_t)body[5] << 8;
-    uint32_t needed = HEADER + length + (single ? 0 : CRC_BYTES), most, last;
-    if (single) {
-        most = padded((needed < 63u ? needed : 63u) + 1u) - 1u;
-    } else {
-        last = needed % 63u ? needed % 63u : 63u;
-        most = needed - last + padded(last + 1u) - 1u;
-    }
-    if (t->n < needed || t->n > most || length > HBP_RX_MAX) {
-        can->base.bad++;
-        return 0;
-    }
+    uint32_t needed = HEADER + length + (single ? 0 : CRC_BYTES), last = needed % 63u ? needed % 63u : 63u;
+    if (t->n < needed || t->n > needed - last + padded(last + 1u) - 1u || length > HBP_RX_MAX) return 0;
     memcpy(header, body, HEADER);
     memcpy(t->buffer, header, HEADER);
     t->buffer[6] = (uint8_t)(t->key >> 4 & 15u); /* the identifier's node, which is 0 in a HELLO to all */
     t->buffer[7] = 0;
-    hbp_put32(crc, hbp_crc(0xFFFFFFFFu, t->buffer, 8u + length) ^ 0xFFFFFFFFu);
-    if (!single && memcmp(crc, t->buffer + 8 + length, CRC_BYTES)) {
-        can->base.bad++;
-        return 0;
-    }
-    return 1;
+    return single || (hbp_crc(0xFFFFFFFFu, t->buffer, 8u + length) ^ 0xFFFFFFFFu) == hbp_get32(t->buffer + 8 + length);
 }
 
+static int came_before(const struct hbp_transfer *t, const uint8_t *data, size_t n)
+{
+    if (n != t->last_length) return 0;
+    while (n && data[n - 1u] == t->last[n - 1u]) n--;
+    return !n;
+}
+
+/* Take a frame; whether a message is whole with it. */
 static int feed(struct hbp_can *can, struct hbp_transfer *t, const uint8_t *data, size_t n)
 {
-    uint8_t tail;
+    uint8_t expected = t->expected, tail, order;
     if (!n || n > HBP_CAN_BYTES) {
         can->orphans++;
         return 0;
     }
-    if (n == t->last_length && !memcmp(data, t->last, n)) {
+    if (came_before(t, data, n)) {
         can->duplicates++;
         return 0;
     }
     memcpy(t->last, data, n);
     t->last_length = (uint8_t)n;
+    t->expected = NOTHING;
     tail = data[--n];
+    order = tail & (TOGGLE | ID_MASK);
     if (tail & START_BIT) {
-        if (t->expected != NOTHING) can->base.bad++;
-        t->expected = NOTHING;
-        if (!(tail & TOGGLE)) {
-            can->orphans++;
-            return 0;
-        }
+        if (expected != NOTHING) can->base.bad++;
+        expected = tail & TOGGLE ? order : NOTHING;
         t->n = 0;
-    } else if (t->expected == NOTHING) {
+    }
+    if (expected == NOTHING) {
         can->orphans++;
         return 0;
-    } else if ((tail & (TOGGLE | ID_MASK)) != t->expected || t->n > HEADER + HBP_RX_MAX + CRC_BYTES) {
-        can->base.bad++;
-        t->expected = NOTHING;
-        return 0;
     }
-    memcpy(t->buffer + 2 + t->n, data, n);
-    t->n = (uint16_t)(t->n + n);
-    t->expected = tail & END_BIT ? NOTHING : (uint8_t)((tail & (TOGGLE | ID_MASK)) ^ TOGGLE);
-    return tail & END_BIT ? finish(can, t, (tail & START_BIT) != 0) : 0;
+    if (order == expected && t->n <= HEADER + HBP_RX_MAX + CRC_BYTES) {
+        memcpy(t->buffer + 2 + t->n, data, n);
+        t->n = (uint16_t)(t->n + n);
+        if (!(tail & END_BIT)) {
+            t->expected = order ^ TOGGLE;
+            return 0;
+        }
+        if (is_whole(t, tail & START_BIT)) return 1;
+    }
+    can->base.bad++;
+    return 0;
 }
 
 static int belongs(uint32_t class, uint32_t slot, int to_all, uint8_t type)
@@ -445,7 +427,7 @@ void hbp_can_poll(struct hbp_can *can, uint64_t now)
 }
 
 static const struct hbp_way can_way = {
-    can_send, can_beats, can_shape, can_open, can_close, can_samples, can_edges, 1,
+    can_send, can_beats, can_shape, can_open, can_samples, can_edges, 1,
 };
 
 uint32_t hbp_can_init_sized(struct hbp_can *can, const struct hbp_can_bus *bus, size_t size)
@@ -454,6 +436,7 @@ uint32_t hbp_can_init_sized(struct hbp_can *can, const struct hbp_can_bus *bus, 
     if (!bus->bitrate || (bus->data_bitrate && HBP_CAN_BYTES < 64)) return HBP_WRONG_BUS;
     memset(can, 0, sizeof *can);
     can->base.way = &can_way;
+    can->base.work = can->made + HBP_HEADER;
     can->base.capacity = 1.0f;
     can->bus = bus;
     can->base.most = payload_in(can, HBP_CAN_MESSAGES - HEARTBEAT_FRAMES);

@@ -68,13 +68,14 @@ struct hbp_can {
     struct hbp_link_base base;
     const struct hbp_can_bus *bus;
     uint8_t host, slots[2];           /* number of the host that is being answered; where the circles of slots go on */
-    uint8_t next[16 + 3];             /* transfer ids */
-    uint32_t clock, foreign, orphans, duplicates;
-    struct hbp_transfer transfers[HBP_CAN_TRANSFERS];
-    volatile uint32_t now, most_age; /* ticks, shifted */
     uint8_t shift;
+    uint8_t from;                     /* the reader's: the queue of the frame that it was shown */
     volatile uint16_t head[2], tail[2]; /* of both queues */
-    uint8_t from;                       /* the reader's: the queue of the frame that it was shown */
+    volatile uint32_t now, most_age;  /* ticks, shifted */
+    uint32_t clock, foreign, orphans, duplicates;
+    uint8_t next[16 + 3];             /* transfer ids */
+    uint8_t made[8 + HBP_TX_MAX + 4]; /* a message, before it is cut into frames */
+    struct hbp_transfer transfers[HBP_CAN_TRANSFERS];
     struct hbp_can_frame messages[HBP_CAN_MESSAGES], streamed[HBP_CAN_STREAMED];
 };
 

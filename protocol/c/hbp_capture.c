@@ -238,21 +238,20 @@ static uint16_t wrong(const struct hbp *h, const uint8_t *in, uint32_t *bytes, f
     uint32_t before = hbp_get32(in + 4), after = hbp_get32(in + 8), n = hbp_get16(in + 20), edges = EDGE_BYTES * hbp_get16(in + 18), fits;
     uint16_t code, trigger_id = hbp_get16(in + 16);
     float level = hbp_get_float(in + 12);
-    *detail = 0.0f;
     if (!hbp_get16(in + 2) || !after) return HBP_ERROR_BAD_VALUE;
-    *detail = level;
-    if (!hbp_finite(level)) return HBP_ERROR_BAD_VALUE;
-    *detail = 0.0f;
+    if (!hbp_finite(level)) {
+        *detail = level;
+        return HBP_ERROR_BAD_VALUE;
+    }
     if (!n) return HBP_ERROR_BAD_VALUE;
     code = hbp_choose(h, in + HEAD, n, bytes, detail);
     if (code) return code;
-    *detail = (float)trigger_id;
-    if (in[0] >= HBP_TRIGGER_ABOVE && in[0] <= HBP_TRIGGER_CHANGES && !hbp_find_channel(h, trigger_id)) return HBP_ERROR_UNKNOWN_ID;
-    *detail = (float)in[0];
-    if (in[0] >= HBP_TRIGGER_ILLEGAL && !(h->config->features & HBP_FEATURE_EDGES)) return HBP_ERROR_NOT_SUPPORTED;
+    if (in[0] >= HBP_TRIGGER_ABOVE && in[0] <= HBP_TRIGGER_CHANGES && !hbp_find_channel(h, trigger_id))
+        return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, trigger_id);
+    if (in[0] >= HBP_TRIGGER_ILLEGAL && !(h->config->features & HBP_FEATURE_EDGES))
+        return hbp_refuse(detail, HBP_ERROR_NOT_SUPPORTED, in[0]);
     fits = edges < h->capture->room ? (h->capture->room - edges) / *bytes : 0;
-    *detail = (float)fits;
-    return before > fits || after > fits - before ? HBP_ERROR_DOES_NOT_FIT : 0;
+    return before > fits || after > fits - before ? hbp_refuse(detail, HBP_ERROR_DOES_NOT_FIT, fits) : 0;
 }
 
 uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
@@ -260,13 +259,11 @@ uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t *n, float *det
     struct hbp_capture *c = h->capture;
     uint32_t bytes;
     uint16_t code;
-    *detail = (float)in[0];
-    if (in[0] > HBP_TRIGGER_PULSE) return HBP_ERROR_BAD_VALUE;
+    if (in[0] > HBP_TRIGGER_PULSE) return hbp_refuse(detail, HBP_ERROR_BAD_VALUE, in[0]);
     if (in[0] == HBP_TRIGGER_OFF) {
         (void)stand_by(h);
     } else {
-        *detail = (float)c->number;
-        if (c->state == HBP_CAPTURE_FROZEN) return HBP_ERROR_BUSY;
+        if (c->state == HBP_CAPTURE_FROZEN) return hbp_refuse(detail, HBP_ERROR_BUSY, c->number);
         code = wrong(h, in, &bytes, detail);
         if (code) return code;
         begin(h, in, bytes);

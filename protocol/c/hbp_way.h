@@ -10,10 +10,12 @@ enum hbp_rank { HBP_RANK_REPLY, HBP_RANK_NEWS, HBP_RANK_BEAT, HBP_RANK_STREAM };
 
 #define HBP_NEXT_TRANSFER 0xFFu
 
-struct hbp_message {
+#define HBP_HEADER 8u    /* bytes in front of the link's `work` */
+#define HBP_CRC_BYTES 4u /* and behind it */
+
+struct hbp_message { /* its payload stands in the link's `work` */
     uint8_t type, flags;
     uint16_t tid, n;
-    const uint8_t *payload;
     enum hbp_rank rank;
     uint8_t transfer; /* on CAN: that of a kept reply, or HBP_NEXT_TRANSFER; then the one that it got */
 };
@@ -23,7 +25,6 @@ struct hbp_way { /* how a device's messages and streams get onto its link */
     int (*beats)(const struct hbp *h);                             /* the last heartbeat still waits */
     uint32_t (*shape)(struct hbp *h, struct hbp_stream *s);        /* sets block, rate, groups; bytes that fit if it does not, else 0 */
     uint16_t (*open)(struct hbp *h, struct hbp_stream *s, float *detail); /* sets the slot, or refuses */
-    void (*close)(struct hbp *h, struct hbp_stream *s);
     int (*samples)(struct hbp *h, struct hbp_stream *s, const struct hbp_block *block, const uint8_t *records); /* 0: no room */
     int (*edges)(struct hbp *h, struct hbp_stream *s, uint16_t n); /* the n next ones, without a gap; 0: no room */
     uint8_t counts_samples; /* 1: `seq` is the number of a block's first sample; 0: it counts blocks */
@@ -73,8 +74,10 @@ uint32_t hbp_get32(const uint8_t *from);
 uint16_t hbp_get16(const uint8_t *from);
 #endif
 float hbp_get_float(const uint8_t *from);
+uint8_t *hbp_put_header(struct hbp *h, const struct hbp_message *message); /* in front of the payload; where it begins */
 uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags);
 int hbp_finite(float value);
+uint16_t hbp_refuse(float *detail, uint16_t code, uint32_t number);
 void hbp_event(struct hbp *h, uint32_t code, float arg, float detail);
 uint32_t hbp_rounded_up(uint64_t index, uint16_t decimation);
 const struct hbp_channel *hbp_find_channel(const struct hbp *h, uint32_t id);
