@@ -130,20 +130,21 @@ static int whole_number(float value)
     return (float)(int32_t)value == value;
 }
 
-/* The lower 32 bits of n / d, and n % d in *rest. The compiler's own division of 64 bits is 700 bytes; this is seldom needed. */
-static uint32_t divide(uint64_t n, uint32_t d, uint32_t *rest)
+/* n % d, bit by bit: the compiler's own division of 64 bits is 700 bytes, and this is seldom needed. */
+static uint32_t remainder_of(uint64_t n, uint32_t d)
 {
-    uint64_t part = 0;
-    uint32_t quotient = 0;
-    for (int bit = 63; bit >= 0; bit--) {
-        part = part << 1 | (n >> bit & 1u);
-        quotient <<= 1;
-        if (part < d) continue;
-        part -= d;
-        quotient |= 1u;
+    uint64_t rest = 0;
+    for (int bits = 64; bits; bits--, n <<= 1) {
+        rest = rest << 1 | n >> 63;
+        if (rest >= d) rest -= d;
     }
-    *rest = (uint32_t)part;
-    return quotient;
+    return (uint32_t)rest;
+}
+
+/* So many milliseconds, in periods of a frequency. */
+static uint32_t periods_in(uint32_t ms, uint32_t hz)
+{
+    return ms * (hz / 1000u) + ms * (hz % 1000u) / 1000u;
 }
 
 /* CRC-32/ISO-HDLC, polynomial 0xEDB88320 (reflected); begin with 0xFFFFFFFF, invert the end. */
@@ -232,11 +233,11 @@ static uint32_t watchdog_ticks(const struct hbp *h)
 }
 
 /* A value that is within its range, or that the application refuses. */
-static uint16_t store_parameter(struct hbp *h, uint16_t k, float value, float *detail)
+static uint16_t store_parameter(struct hbp *h, uint16_t k, float value)
 {
     const struct hbp_config *config = h->config;
     float before = parameter_value(h, k), after;
-    uint16_t code = config->set ? config->set(config->user, k, value, detail) : 0;
+    uint16_t code = config->set ? config->set(config->user, k, value, &h->detail) : 0;
     if (code) return code;
     if (!config->get) *config->parameters[k].value = value;
     if (k == h->watchdog) h->leash_ticks = watchdog_ticks(h);
@@ -248,11 +249,10 @@ static uint16_t store_parameter(struct hbp *h, uint16_t k, float value, float *d
 /* RUNNING has ended, or not yet begun. */
 static void reset_volatile(struct hbp *h)
 {
-    float detail = 0.0f;
     for (uint16_t k = 0; k < h->config->n_parameters; k++) {
         const struct hbp_parameter *p = &h->config->parameters[k];
         float value = parameter_value(h, k);
-        if ((p->flags & HBP_FLAG_VOLATILE) && (value < p->initial || value > p->initial)) (void)store_parameter(h, k, p->initial, &detail);
+        if ((p->flags & HBP_FLAG_VOLATILE) && (value < p->initial || value > p->initial)) (void)store_parameter(h, k, p->initial);
     }
 }
 
@@ -279,18 +279,18 @@ static void ask_capture(struct hbp *h, uint8_t trigger)
 }
 
 /* A refusal whose detail is a whole number. */
-uint16_t hbp_refuse(float *detail, uint16_t code, uint32_t number)
+uint16_t hbp_refuse(struct hbp *h, uint16_t code, uint32_t number)
 {
-    *detail = (float)number;
+    h->detail = (float)number;
     return code;
 }
 
-static uint16_t wrong_state(const struct hbp *h, float *detail)
+static uint16_t wrong_state(struct hbp *h)
 {
-    return hbp_refuse(detail, HBP_ERROR_WRONG_STATE, h->state);
+    return hbp_refuse(h, HBP_ERROR_WRONG_STATE, h->state);
 }
 
-static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
+static uint16_t enter(struct hbp *h, uint8_t state)
 {
     uint16_t code;
     uint8_t before = h->state;
@@ -298,12 +298,12 @@ static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
     HBP_BARRIER();
     h->permit = state == HBP_STATE_RUNNING;
     HBP_BARRIER();
-    code = h->config->enter(h->config->user, state, detail);
+    code = h->config->enter(h->config->user, state, &h->detail);
     if (code && (state == HBP_STATE_ARMED || state == HBP_STATE_RUNNING)) {
         h->permit = h->state == HBP_STATE_RUNNING;
         return code;
     }
-    if (h->faults && state != HBP_STATE_FAULT) return wrong_state(h, detail); /* the application called hbp_fault meanwhile */
+    if (h->faults && state != HBP_STATE_FAULT) return wrong_state(h); /* the application called hbp_fault meanwhile */
     h->state = state;
     hbp_event(h, HBP_EVENT_STATE_CHANGED, (float)state, 0.0f);
     ask_capture(h, HBP_TRIGGER_STATE);
@@ -314,12 +314,11 @@ static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
 void hbp_fault(struct hbp *h, uint32_t faults)
 {
     uint32_t fresh = faults & FAULT_MASK & ~h->faults;
-    float detail = 0.0f;
     if (!fresh) return;
     if (!h->faults) h->first_fault = fresh;
     h->faults |= fresh;
     ask_capture(h, HBP_TRIGGER_FAULT);
-    if (h->state != HBP_STATE_FAULT) enter(h, HBP_STATE_FAULT, &detail);
+    if (h->state != HBP_STATE_FAULT) enter(h, HBP_STATE_FAULT);
     hbp_event(h, HBP_EVENT_FAULT, (float)fresh, 0.0f);
 }
 
@@ -346,76 +345,79 @@ int hbp_may_run(struct hbp *h, uint32_t tick)
 void hbp_pass_time(struct hbp *h, uint64_t now)
 {
     uint32_t raised = h->raised;
-    float detail = 0.0f;
     h->now = now;
     if (raised != h->seen) {
         h->seen = raised;
         hbp_fault(h, raised & FAULT_MASK);
     }
     if (h->state == HBP_STATE_BOOT) {
-        enter(h, HBP_STATE_IDLE, &detail);
+        enter(h, HBP_STATE_IDLE);
     } else if (live(h) && (now - h->fed >= watchdog_ticks(h) || (h->permit && h->cut == h->runs))) {
         hbp_fault(h, HBP_FAULT_WATCHDOG);
     } else if (h->state == HBP_STATE_ARMED && now - h->armed >= (uint64_t)ARM_SECONDS * h->config->tick_hz) {
         hbp_event(h, HBP_EVENT_ARM_LAPSED, (float)ARM_SECONDS, 0.0f);
-        enter(h, HBP_STATE_IDLE, &detail);
+        enter(h, HBP_STATE_IDLE);
     }
 }
 
-static uint16_t arm(struct hbp *h, uint32_t token, float *detail)
+static uint16_t arm(struct hbp *h, uint32_t token)
 {
     uint16_t code = 0;
     if (token != h->boot_id) return HBP_ERROR_BAD_TOKEN;
-    if (h->state != HBP_STATE_IDLE && h->state != HBP_STATE_ARMED) return wrong_state(h, detail);
-    if (h->state == HBP_STATE_IDLE) code = enter(h, HBP_STATE_ARMED, detail);
+    if (h->state != HBP_STATE_IDLE && h->state != HBP_STATE_ARMED) return wrong_state(h);
+    if (h->state == HBP_STATE_IDLE) code = enter(h, HBP_STATE_ARMED);
     if (code) return code;
     h->armed = h->now;
     feed(h);
     return 0;
 }
 
-static uint16_t start(struct hbp *h, uint32_t argument, float *detail)
+static uint16_t start(struct hbp *h, uint32_t argument)
 {
-    if (argument) return hbp_refuse(detail, HBP_ERROR_BAD_VALUE, argument);
-    if (!live(h)) return wrong_state(h, detail);
-    return h->state == HBP_STATE_ARMED ? enter(h, HBP_STATE_RUNNING, detail) : 0;
+    if (argument) return hbp_refuse(h, HBP_ERROR_BAD_VALUE, argument);
+    if (!live(h)) return wrong_state(h);
+    return h->state == HBP_STATE_ARMED ? enter(h, HBP_STATE_RUNNING) : 0;
 }
 
 void hbp_stop(struct hbp *h)
 {
-    float detail = 0.0f;
-    if (live(h)) enter(h, HBP_STATE_IDLE, &detail);
+    if (live(h)) enter(h, HBP_STATE_IDLE);
 }
 
-static uint16_t clear(struct hbp *h, uint32_t faults, float *detail)
+static uint16_t clear(struct hbp *h, uint32_t faults)
 {
     uint32_t persist;
-    if (h->state != HBP_STATE_FAULT) return wrong_state(h, detail);
-    if (faults != h->faults) return hbp_refuse(detail, HBP_ERROR_FAULTS_CHANGED, h->faults);
+    if (h->state != HBP_STATE_FAULT) return wrong_state(h);
+    if (faults != h->faults) return hbp_refuse(h, HBP_ERROR_FAULTS_CHANGED, h->faults);
     persist = h->config->clear ? h->config->clear(h->config->user, faults) : 0;
-    if (persist) return hbp_refuse(detail, HBP_ERROR_FAULT_PERSISTS, persist);
+    if (persist) return hbp_refuse(h, HBP_ERROR_FAULT_PERSISTS, persist);
     h->faults = h->first_fault = 0;
-    return enter(h, HBP_STATE_IDLE, detail);
+    return enter(h, HBP_STATE_IDLE);
 }
 
-/* ---- requests: each writes its reply into link->work, and its length into *n; or returns a code -------------------------- */
+/* ---- requests: each writes its reply into link->work, and its length into h->answered; or returns a code ----------------- */
 
-typedef uint16_t answer(struct hbp *h, const uint8_t *in, size_t *n, float *detail);
+typedef uint16_t answer(struct hbp *h, const uint8_t *in);
 
-static uint16_t finish(const struct hbp *h, const uint8_t *end, size_t *n)
+uint16_t hbp_finish(struct hbp *h, const uint8_t *end)
 {
-    *n = (size_t)(end - h->link->work);
+    h->answered = (uint16_t)(end - h->link->work);
     return 0;
 }
 
-static uint16_t hello(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+uint16_t hbp_next_number(uint16_t number)
+{
+    return (uint16_t)(number < 0xFFFFu ? number + 1u : 1u);
+}
+
+static uint16_t hello(struct hbp *h, const uint8_t *in)
 {
     const struct hbp_config *config = h->config;
     uint32_t nonce = hbp_get32(in);
     uint16_t rx_max = hbp_get16(in + 6);
     uint8_t *to = h->link->work;
-    if (in[4] > HBP_MAJOR || in[5] < HBP_MAJOR) return hbp_refuse(detail, HBP_ERROR_BAD_VERSION, HBP_MAJOR);
-    if (rx_max < 128) return hbp_refuse(detail, HBP_ERROR_OUT_OF_RANGE, 128);
+    if (in[4] > HBP_MAJOR || in[5] < HBP_MAJOR) return hbp_refuse(h, HBP_ERROR_BAD_VERSION, HBP_MAJOR);
+    if (rx_max < 128) return hbp_refuse(h, HBP_ERROR_OUT_OF_RANGE, 128);
     if (!h->peer->greeted || nonce != h->peer->nonce || rx_max != h->peer->rx_max) { /* a new host may use the same tids again */
         for (unsigned k = 0; k < HBP_KEPT; k++) h->peer->kept[k].there = 0;
         h->peer->nonce = nonce;
@@ -435,18 +437,18 @@ static uint16_t hello(struct hbp *h, const uint8_t *in, size_t *n, float *detail
     *to++ = h->link->nodes;
     to = put_text(put_text(to, config->name, 16), config->firmware, 16);
     to = put_text(put_text(to, config->serial, 24), config->build, 24);
-    return finish(h, to, n);
+    return hbp_finish(h, to);
 }
 
-static uint16_t time_sync(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t time_sync(struct hbp *h, const uint8_t *in)
 {
-    (void)in, (void)detail;
-    return finish(h, put64(put64(h->link->work, h->now), h->now), n);
+    (void)in;
+    return hbp_finish(h, put64(put64(h->link->work, h->now), h->now));
 }
 
-static uint16_t alive(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t alive(struct hbp *h, const uint8_t *in)
 {
-    (void)in, (void)n, (void)detail;
+    (void)in;
     feed(h);
     return 0;
 }
@@ -509,7 +511,7 @@ static const uint8_t *blob_part(const struct hbp *h, uint8_t id, uint32_t offset
     }
 }
 
-static size_t blob_reply(struct hbp *h, uint8_t id, uint32_t offset, uint32_t length, uint32_t total)
+static uint16_t blob_reply(struct hbp *h, uint8_t id, uint32_t offset, uint32_t length, uint32_t total)
 {
     uint8_t *to = h->link->work, made[RECORD];
     *to++ = id;
@@ -521,30 +523,28 @@ static size_t blob_reply(struct hbp *h, uint8_t id, uint32_t offset, uint32_t le
         memcpy(to, from, n);
         to += n, offset += n, length -= n;
     }
-    return (size_t)(to - h->link->work);
+    return hbp_finish(h, to);
 }
 
-static uint16_t blob_read(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t blob_read(struct hbp *h, const uint8_t *in)
 {
     uint32_t wanted = hbp_get16(in + 2), offset = hbp_get32(in + 4), total, room = h->peer->tx_max - 12u;
-    if (!find_blob(h, in[0], &total)) return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, in[0]);
-    if (offset > total) return hbp_refuse(detail, HBP_ERROR_OUT_OF_RANGE, total);
+    if (!find_blob(h, in[0], &total)) return hbp_refuse(h, HBP_ERROR_UNKNOWN_ID, in[0]);
+    if (offset > total) return hbp_refuse(h, HBP_ERROR_OUT_OF_RANGE, total);
     if (wanted > room) wanted = room;
     if (wanted > total - offset) wanted = total - offset;
-    *n = blob_reply(h, in[0], offset, wanted, total);
-    return 0;
+    return blob_reply(h, in[0], offset, wanted, total);
 }
 
 #if HBP_WAVEFORM
-static uint16_t blob_write(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t blob_write(struct hbp *h, const uint8_t *in)
 {
     uint32_t more = hbp_get16(in + 2), offset = hbp_get32(in + 4), total;
-    *n = 0;
-    if (!find_blob(h, in[0], &total)) return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, in[0]);
-    if (in[0] != WAVEFORM) return hbp_refuse(detail, HBP_ERROR_READ_ONLY, in[0]);
-    if (offset > total || more > total - offset) return hbp_refuse(detail, HBP_ERROR_OUT_OF_RANGE, total);
+    if (!find_blob(h, in[0], &total)) return hbp_refuse(h, HBP_ERROR_UNKNOWN_ID, in[0]);
+    if (in[0] != WAVEFORM) return hbp_refuse(h, HBP_ERROR_READ_ONLY, in[0]);
+    if (offset > total || more > total - offset) return hbp_refuse(h, HBP_ERROR_OUT_OF_RANGE, total);
     if (h->test != HBP_NONE && (parameter_value(h, h->test) < 0.0f || parameter_value(h, h->test) > 0.0f))
-        return hbp_refuse(detail, HBP_ERROR_BUSY, in[0]);
+        return hbp_refuse(h, HBP_ERROR_BUSY, in[0]);
 #if HBP_LITTLE_ENDIAN
     memcpy((uint8_t *)h->config->waveform + offset, in + 8, more);
 #else
@@ -560,93 +560,88 @@ static uint16_t blob_write(struct hbp *h, const uint8_t *in, size_t *n, float *d
 }
 #endif
 
-static uint16_t parameter(const struct hbp *h, const uint8_t *in, uint16_t *k, float *detail)
+static uint16_t parameter(struct hbp *h, const uint8_t *in, uint16_t *k)
 {
     uint16_t id = hbp_get16(in);
     for (*k = 0; *k < h->config->n_parameters; ++*k)
         if (h->config->parameters[*k].id == id) return 0;
-    return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, id);
+    return hbp_refuse(h, HBP_ERROR_UNKNOWN_ID, id);
 }
 
-static uint16_t param_get(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t param_get(struct hbp *h, const uint8_t *in)
 {
-    uint16_t k, code = parameter(h, in, &k, detail);
+    uint16_t k, code = parameter(h, in, &k);
     const struct hbp_parameter *p;
     uint8_t *to;
     if (code) return code;
     p = &h->config->parameters[k];
     to = hbp_put16(hbp_put16(h->link->work, p->id), 0);
     to = put_float(put_float(to, parameter_value(h, k)), p->lo);
-    return finish(h, put_float(put_float(to, p->hi), p->initial), n);
+    return hbp_finish(h, put_float(put_float(to, p->hi), p->initial));
 }
 
-static uint16_t param_set(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t param_set(struct hbp *h, const uint8_t *in)
 {
     const struct hbp_config *config = h->config;
-    uint16_t k, code = parameter(h, in, &k, detail);
+    uint16_t k, code = parameter(h, in, &k);
     const struct hbp_parameter *p;
     float value = hbp_get_float(in + 4);
     if (code) return code;
     p = &config->parameters[k];
-    if (p->flags & HBP_FLAG_READ_ONLY) return hbp_refuse(detail, HBP_ERROR_READ_ONLY, p->id);
-    *detail = value;
+    if (p->flags & HBP_FLAG_READ_ONLY) return hbp_refuse(h, HBP_ERROR_READ_ONLY, p->id);
+    h->detail = value;
     if (!hbp_finite(value) || ((p->flags & HBP_FLAG_WHOLE) && !whole_number(value))) return HBP_ERROR_BAD_VALUE;
-    *detail = value < p->lo ? p->lo : p->hi;
+    h->detail = value < p->lo ? p->lo : p->hi;
     if (value < p->lo || value > p->hi) return HBP_ERROR_OUT_OF_RANGE;
-    if ((p->flags & HBP_FLAG_IDLE_ONLY) && outputs_on(h)) return wrong_state(h, detail);
-    *detail = 0.0f;
-    code = store_parameter(h, k, value, detail);
+    if ((p->flags & HBP_FLAG_IDLE_ONLY) && outputs_on(h)) return wrong_state(h);
+    h->detail = 0.0f;
+    code = store_parameter(h, k, value);
     if (code) return code;
-    return finish(h, put_float(hbp_put16(hbp_put16(h->link->work, p->id), 0), parameter_value(h, k)), n);
+    return hbp_finish(h, put_float(hbp_put16(hbp_put16(h->link->work, p->id), 0), parameter_value(h, k)));
 }
 
-static uint16_t param_commit(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t param_commit(struct hbp *h, const uint8_t *in)
 {
     (void)in;
-    *n = 0;
-    if (outputs_on(h)) return wrong_state(h, detail);
-    return h->config->commit ? h->config->commit(h->config->user, detail) : HBP_ERROR_NOT_SUPPORTED;
+    if (outputs_on(h)) return wrong_state(h);
+    return h->config->commit ? h->config->commit(h->config->user, &h->detail) : HBP_ERROR_NOT_SUPPORTED;
 }
 
-static uint16_t state_cmd(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t state_cmd(struct hbp *h, const uint8_t *in)
 {
     uint32_t argument = hbp_get32(in + 4);
     uint16_t code = 0;
     switch (in[0]) {
-    case HBP_COMMAND_ARM: code = arm(h, argument, detail); break;
-    case HBP_COMMAND_START: code = start(h, argument, detail); break;
+    case HBP_COMMAND_ARM: code = arm(h, argument); break;
+    case HBP_COMMAND_START: code = start(h, argument); break;
     case HBP_COMMAND_STOP: hbp_stop(h); break;
-    case HBP_COMMAND_FAULT_CLEAR: code = clear(h, argument, detail); break;
-    default: return hbp_refuse(detail, HBP_ERROR_BAD_VALUE, in[0]);
+    case HBP_COMMAND_FAULT_CLEAR: code = clear(h, argument); break;
+    default: return hbp_refuse(h, HBP_ERROR_BAD_VALUE, in[0]);
     }
-    h->link->work[0] = h->state;
-    memset(h->link->work + 1, 0, 3);
-    *n = 4;
-    return code;
+    return code ? code : hbp_finish(h, hbp_put32(h->link->work, h->state));
 }
 
-static void reject(struct hbp *h, uint16_t code, float detail)
+static void reject(struct hbp *h, uint16_t code)
 {
     h->setpoints_rejected++;
-    hbp_event(h, HBP_EVENT_SETPOINT_REJECTED, (float)code, detail);
+    hbp_event(h, HBP_EVENT_SETPOINT_REJECTED, (float)code, h->detail);
 }
 
-static uint16_t use_setpoint(struct hbp *h, const uint8_t *in, float *detail)
+static uint16_t use_setpoint(struct hbp *h, const uint8_t *in)
 {
     float value = hbp_get_float(in + 4), value2 = hbp_get_float(in + 8);
-    if (h->state != HBP_STATE_RUNNING) return wrong_state(h, detail);
-    *detail = hbp_finite(value) ? value2 : value;
-    if (!hbp_finite(*detail)) return HBP_ERROR_BAD_VALUE;
-    *detail = 0.0f;
-    return h->config->setpoint(h->config->user, in[0], value, value2, detail);
+    if (h->state != HBP_STATE_RUNNING) return wrong_state(h);
+    h->detail = hbp_finite(value) ? value2 : value;
+    if (!hbp_finite(h->detail)) return HBP_ERROR_BAD_VALUE;
+    h->detail = 0.0f;
+    return h->config->setpoint(h->config->user, in[0], value, value2, &h->detail);
 }
 
-static uint16_t setpoint(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t setpoint(struct hbp *h, const uint8_t *in)
 {
-    uint16_t code = use_setpoint(h, in, detail);
-    (void)n;
+    uint16_t code = use_setpoint(h, in);
     if (code) {
-        reject(h, code, *detail);
+        reject(h, code);
         return 0; /* there is no other answer */
     }
     h->setpoint_counter = hbp_get16(in + 2);
@@ -668,8 +663,7 @@ static uint8_t *records_of(struct hbp_block *block)
 
 uint32_t hbp_in_time(const struct hbp *h, uint32_t latency_ms, uint32_t decimation)
 {
-    uint32_t rest;
-    return divide((uint64_t)latency_ms * h->config->pwm_hz, 1000u * decimation, &rest);
+    return periods_in(latency_ms, h->config->pwm_hz) / decimation;
 }
 
 /* What waits of a stream that is no more, or never was sent, is lost. */
@@ -729,15 +723,15 @@ const struct hbp_channel *hbp_find_channel(const struct hbp *h, uint32_t id)
 }
 
 /* Whether n ids are of channels, each another one; the bytes of a record of them. */
-uint16_t hbp_choose(const struct hbp *h, const uint8_t *ids, uint32_t n, uint32_t *bytes, float *detail)
+uint16_t hbp_choose(struct hbp *h, const uint8_t *ids, uint32_t n, uint32_t *bytes)
 {
     *bytes = 0;
     for (uint32_t k = 0; k < n; k++) {
         uint16_t id = hbp_get16(ids + 2 * k);
         const struct hbp_channel *channel = hbp_find_channel(h, id);
-        if (!channel) return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, id);
+        if (!channel) return hbp_refuse(h, HBP_ERROR_UNKNOWN_ID, id);
         for (uint32_t before = 0; before < k; before++)
-            if (hbp_get16(ids + 2 * before) == id) return hbp_refuse(detail, HBP_ERROR_BAD_VALUE, id);
+            if (hbp_get16(ids + 2 * before) == id) return hbp_refuse(h, HBP_ERROR_BAD_VALUE, id);
         *bytes += hbp_widths[channel->type];
     }
     return 0;
@@ -749,17 +743,17 @@ void hbp_take_channels(const struct hbp *h, const uint8_t *ids, uint32_t n, uint
     for (; n--; ids += 2) *take++ = (uint16_t)(hbp_find_channel(h, hbp_get16(ids)) - h->config->channels);
 }
 
-static uint16_t configure(struct hbp *h, struct hbp_stream *s, const uint8_t *in, float *detail)
+static uint16_t configure(struct hbp *h, struct hbp_stream *s, const uint8_t *in)
 {
     uint16_t channels = s->channels, code;
     uint32_t bytes;
     if (s->event == HBP_STREAM_EDGES && (h->config->features & HBP_FEATURE_EDGES)) {
-        if (channels) return hbp_refuse(detail, HBP_ERROR_BAD_VALUE, channels);
+        if (channels) return hbp_refuse(h, HBP_ERROR_BAD_VALUE, channels);
         s->record_bytes = EDGE_BYTES;
     } else {
-        if (s->event != HBP_STREAM_PWM) return hbp_refuse(detail, HBP_ERROR_NOT_SUPPORTED, s->event);
+        if (s->event != HBP_STREAM_PWM) return hbp_refuse(h, HBP_ERROR_NOT_SUPPORTED, s->event);
         if (!s->decimation || !channels) return HBP_ERROR_BAD_VALUE;
-        code = hbp_choose(h, in + 8, channels, &bytes, detail);
+        code = hbp_choose(h, in + 8, channels, &bytes);
         if (code) return code;
         hbp_take_channels(h, in + 8, channels, s->take);
         s->record_bytes = (uint16_t)bytes;
@@ -767,12 +761,12 @@ static uint16_t configure(struct hbp *h, struct hbp_stream *s, const uint8_t *in
     return 0;
 }
 
-static uint16_t fit(struct hbp *h, struct hbp_stream *s, const struct hbp_stream *mine, float *share, float *detail)
+static uint16_t fit(struct hbp *h, struct hbp_stream *s, const struct hbp_stream *mine, float *share)
 {
     uint32_t fits = h->link->way->shape(h, s);
-    if (fits) return hbp_refuse(detail, HBP_ERROR_DOES_NOT_FIT, fits);
+    if (fits) return hbp_refuse(h, HBP_ERROR_DOES_NOT_FIT, fits);
     *share = load(h, mine, s->rate);
-    if (*share > MAX_LOAD) return hbp_refuse(detail, HBP_ERROR_DOES_NOT_FIT, decimation_that_fits(h, mine, s));
+    if (*share > MAX_LOAD) return hbp_refuse(h, HBP_ERROR_DOES_NOT_FIT, decimation_that_fits(h, mine, s));
     if (s->event == HBP_STREAM_PWM) {
         uint32_t header = sizeof(struct hbp_block), most = HBP_POOL_BYTES / 2u - header;
         if ((uint32_t)s->block * s->record_bytes > most) s->block = (uint16_t)(most / s->record_bytes);
@@ -784,13 +778,13 @@ static uint16_t fit(struct hbp *h, struct hbp_stream *s, const struct hbp_stream
     return 0;
 }
 
-static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t stream_set(struct hbp *h, const uint8_t *in)
 {
     struct hbp_stream wanted, *s = &h->streams[in[0] & 3u];
     float share = 0.0f;
     uint16_t code;
     uint8_t *to = h->link->work;
-    if (in[0] >= HBP_STREAMS) return hbp_refuse(detail, HBP_ERROR_OUT_OF_RANGE, HBP_STREAMS - 1);
+    if (in[0] >= HBP_STREAMS) return hbp_refuse(h, HBP_ERROR_OUT_OF_RANGE, HBP_STREAMS - 1);
     memset(&wanted, 0, sizeof wanted);
     wanted.number = in[0];
     wanted.event = in[1];
@@ -799,15 +793,14 @@ static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t *n, float *d
     wanted.channels = hbp_get16(in + 6);
     wanted.groups = 1;
     wanted.counts_samples = h->link->way->counts_samples;
-    code = configure(h, &wanted, in, detail);
+    code = configure(h, &wanted, in);
     if (code) return code;
-    if (s->running) return hbp_refuse(detail, HBP_ERROR_BUSY, in[0]);
-    code = fit(h, &wanted, s, &share, detail);
-    if (!code) code = h->link->way->open(h, &wanted, detail);
+    if (s->running) return hbp_refuse(h, HBP_ERROR_BUSY, in[0]);
+    code = fit(h, &wanted, s, &share);
+    if (!code) code = h->link->way->open(h, &wanted);
     if (code) return code;
     forget(h, s);
-    h->cfg_id = (uint16_t)(h->cfg_id % 0xFFFFu + 1u);
-    wanted.cfg_id = h->cfg_id;
+    wanted.cfg_id = h->cfg_id = hbp_next_number(h->cfg_id);
     wanted.configured = 1;
     *s = wanted;
     *to++ = s->number;
@@ -816,17 +809,17 @@ static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t *n, float *d
     to = put_float(to, share);
     *to++ = s->slot;
     memset(to, 0, 3);
-    return finish(h, put64(to + 3, h->config->tick0), n);
+    return hbp_finish(h, put64(to + 3, h->config->tick0));
 }
 
-static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t stream_get(struct hbp *h, const uint8_t *in)
 {
     const struct hbp_stream *s = &h->streams[in[0] & 3u];
     uint16_t channels = s->channels, most = (uint16_t)((h->peer->tx_max - 26u) / 2u);
     uint8_t *to = h->link->work;
     if (channels > most) channels = most;
-    if (in[0] >= HBP_STREAMS) return hbp_refuse(detail, HBP_ERROR_OUT_OF_RANGE, HBP_STREAMS - 1);
-    if (!s->configured) return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, in[0]);
+    if (in[0] >= HBP_STREAMS) return hbp_refuse(h, HBP_ERROR_OUT_OF_RANGE, HBP_STREAMS - 1);
+    if (!s->configured) return hbp_refuse(h, HBP_ERROR_UNKNOWN_ID, in[0]);
     *to++ = s->number;
     *to++ = s->running;
     *to++ = s->event;
@@ -835,15 +828,14 @@ static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t *n, float *d
     to = hbp_put16(hbp_put16(hbp_put16(to, s->record_bytes), s->block), 0);
     to = hbp_put16(put64(to, h->config->tick0), channels);
     for (unsigned k = 0; k < channels; k++) to = hbp_put16(to, h->config->channels[s->take[k]].id);
-    return finish(h, to, n);
+    return hbp_finish(h, to);
 }
 
-static uint16_t stream_start(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t stream_start(struct hbp *h, const uint8_t *in)
 {
     uint32_t mask = hbp_get32(in);
-    *n = 0;
     for (unsigned k = 0; k < 32; k++)
-        if ((mask >> k & 1u) && (k >= HBP_STREAMS || !h->streams[k].configured)) return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, k);
+        if ((mask >> k & 1u) && (k >= HBP_STREAMS || !h->streams[k].configured)) return hbp_refuse(h, HBP_ERROR_UNKNOWN_ID, k);
     for (unsigned k = 0; k < HBP_STREAMS; k++) {
         struct hbp_stream *s = &h->streams[k];
         if (!(mask >> k & 1u) || s->running) continue;
@@ -861,11 +853,9 @@ static uint16_t stream_start(struct hbp *h, const uint8_t *in, size_t *n, float 
 static int send_edges(struct hbp *h);
 static int send_blocks(struct hbp *h);
 
-static uint16_t stream_stop(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+static uint16_t stream_stop(struct hbp *h, const uint8_t *in)
 {
     uint32_t mask = hbp_get32(in);
-    (void)detail;
-    *n = 0;
     for (unsigned k = 0; k < HBP_STREAMS; k++) {
         struct hbp_stream *s = &h->streams[k];
         if (!(mask >> k & 1u) || s->event == HBP_STREAM_EDGES) continue;
@@ -1078,11 +1068,6 @@ static int send_blocks(struct hbp *h)
     return 1;
 }
 
-static uint32_t ticks_of(const struct hbp *h, uint32_t ms)
-{
-    return ms * (h->config->tick_hz / 1000u) + ms * (h->config->tick_hz % 1000u) / 1000u;
-}
-
 static int edges_are_late(struct hbp *h)
 {
     int late = (uint16_t)(h->edge_head - h->edge_tail) > HBP_EDGES / 2u;
@@ -1091,7 +1076,7 @@ static int edges_are_late(struct hbp *h)
         if (!s->running || s->event != HBP_STREAM_EDGES || s->edge == h->edge_head) continue;
         if (!s->waits) s->since = (uint32_t)h->now;
         s->waits = 1;
-        if ((uint32_t)h->now - s->since >= ticks_of(h, s->latency_ms)) late = 1;
+        if ((uint32_t)h->now - s->since >= periods_in(s->latency_ms, h->config->tick_hz)) late = 1;
     }
     return late;
 }
@@ -1117,11 +1102,12 @@ static uint32_t edges_up_to_now(const struct hbp *h)
 
 uint16_t hbp_watchdog_ms(const struct hbp *h)
 {
-    uint32_t ticks = watchdog_ticks(h), left, rest;
-    uint64_t since = h->now - h->fed;
+    uint32_t ticks = watchdog_ticks(h), ms = 0;
+    uint64_t since = h->now - h->fed, left = since < ticks ? (ticks - since) * 1000u : 0;
     if (!live(h)) return WATCHDOG_OFF;
-    left = since < ticks ? divide((ticks - since) * 1000u, h->config->tick_hz, &rest) : 0;
-    return (uint16_t)(left < WATCHDOG_OFF ? left : WATCHDOG_OFF - 1u);
+    for (uint32_t bit = 0x8000u; bit; bit >>= 1) /* the most that is not longer than what is left */
+        if ((uint64_t)(ms + bit) * h->config->tick_hz <= left) ms += bit;
+    return (uint16_t)(ms < WATCHDOG_OFF ? ms : WATCHDOG_OFF - 1u);
 }
 
 uint32_t hbp_dropped(const struct hbp *h)
@@ -1133,7 +1119,7 @@ uint32_t hbp_dropped(const struct hbp *h)
 
 static void heartbeat(struct hbp *h)
 {
-    uint32_t period = h->config->tick_hz / 10u, since;
+    uint32_t period = h->config->tick_hz / 10u;
     uint8_t *to = put64(h->link->work, h->now);
     if (h->now < h->next_heartbeat || h->link->way->beats(h)) return;
     to = hbp_put32(hbp_put32(hbp_put32(to, h->boot_id), h->faults), h->first_fault);
@@ -1144,8 +1130,7 @@ static void heartbeat(struct hbp *h)
     *to++ = (uint8_t)outputs_on(h);
     to = hbp_put32(hbp_put16(to, 0), edges_up_to_now(h));
     if (!send(h, HBP_RANK_BEAT, HBP_TYPE_HEARTBEAT, (size_t)(to - h->link->work))) return;
-    divide(h->now, period, &since);
-    h->next_heartbeat = h->now - since + period;
+    h->next_heartbeat = h->now - remainder_of(h->now, period) + period;
 }
 
 void hbp_advance(struct hbp *h, uint64_t now)
@@ -1164,11 +1149,11 @@ void hbp_advance(struct hbp *h, uint64_t now)
 
 #define FOLLOWED(count, bytes) ((bytes) << 5 | (count)) /* by as many things as stands at `count`, each of so many bytes */
 
-static const struct {
+static const struct kind {
     uint8_t type, length, followed;
     uint8_t feature; /* without it the type is unknown */
     answer *answer;
-} requests[] = {
+} kinds[] = {
     {HBP_TYPE_HELLO, 8, 0, 0, hello},
     {HBP_TYPE_TIME_SYNC, 0, 0, 0, time_sync},
     {HBP_TYPE_ALIVE, 4, 0, 0, alive},
@@ -1197,63 +1182,72 @@ struct request {
     const uint8_t *payload;
 };
 
-static uint8_t reply(struct hbp *h, const struct request *request, uint8_t flags, size_t n, uint8_t transfer)
+/* `answered` bytes of `work`; which transfer they are. */
+static uint8_t reply(struct hbp *h, const struct request *request, uint8_t flags, uint8_t transfer)
 {
-    struct hbp_message message = {
-        request->type, (uint8_t)(HBP_MAJOR | flags), request->tid, (uint16_t)n, HBP_RANK_REPLY, transfer,
-    };
+    struct hbp_message message = {request->type, (uint8_t)(HBP_MAJOR | flags), request->tid, h->answered, HBP_RANK_REPLY, transfer};
     h->link->way->send(h, &message);
     return message.transfer;
 }
 
-static size_t error_payload(struct hbp *h, uint8_t type, uint16_t code, float detail)
+static const struct kind *kind_of(const struct hbp *h, uint8_t type)
 {
-    uint8_t *to = hbp_put16(h->link->work, code);
-    *to++ = type;
-    *to++ = 0;
-    return (size_t)(put_float(to, detail) - h->link->work);
+    for (unsigned k = 0; k < sizeof kinds / sizeof kinds[0]; k++)
+        if (kinds[k].type == type) return kinds[k].feature & ~h->features ? NULL : &kinds[k];
+    return NULL;
 }
 
-static void refuse(struct hbp *h, const struct request *request, uint16_t code, float detail)
+static int is_one_way(uint8_t type)
 {
-    reply(h, request, REPLY | ERROR_FLAG, error_payload(h, request->type, code, detail), HBP_NEXT_TRANSFER);
+    return type == HBP_TYPE_ALIVE || type == HBP_TYPE_SETPOINT;
 }
 
-/* Checks 7 and 8, and the answer; where `kept` is not null, it is kept there. */
-static void execute(struct hbp *h, const struct request *request, unsigned k, struct hbp_reply *kept)
+/* Checks 3 to 6. */
+static uint16_t check(struct hbp *h, const struct request *request, const struct kind *kind)
 {
-    uint16_t length = request->length, code = 0;
-    uint8_t type = request->type, flags = REPLY;
-    float detail = 0.0f;
-    size_t n = 0;
-    uint32_t least = requests[k].length, whole = least, followed = requests[k].followed;
-    if (followed && length >= least) whole += (followed >> 5) * hbp_get16(request->payload + (followed & 31u));
-    if (type == HBP_TYPE_HELLO ? length < least : length != whole) {
-        code = HBP_ERROR_BAD_LENGTH;
-        detail = (float)length;
-        if (type == HBP_TYPE_SETPOINT) reject(h, code, detail);
-    } else {
-        code = requests[k].answer(h, request->payload, &n, &detail);
-        if (!code && (type == HBP_TYPE_ALIVE || type == HBP_TYPE_SETPOINT)) return;
-        if (!code) h->last_tid = request->tid;
-    }
+    if (request->type != HBP_TYPE_HELLO && (request->flags & MAJOR_MASK) != HBP_MAJOR)
+        return hbp_refuse(h, HBP_ERROR_BAD_VERSION, HBP_MAJOR);
+    if (!kind) return hbp_refuse(h, HBP_ERROR_UNKNOWN_TYPE, request->type);
+    if (!request->tid != is_one_way(request->type)) return hbp_refuse(h, HBP_ERROR_BAD_VALUE, request->tid);
+    return 0;
+}
+
+/* Checks 7 and 8, and what the request is for. */
+static uint16_t execute(struct hbp *h, const struct request *request, const struct kind *kind)
+{
+    uint32_t whole = kind->length, more = kind->followed;
+    uint16_t code;
+    if (request->type == HBP_TYPE_HELLO && request->length > whole) whole = request->length;
+    if (more && request->length >= whole) whole += (more >> 5) * hbp_get16(request->payload + (more & 31u));
+    if (request->length == whole) return kind->answer(h, request->payload);
+    code = hbp_refuse(h, HBP_ERROR_BAD_LENGTH, request->length);
+    if (request->type == HBP_TYPE_SETPOINT) reject(h, code);
+    return code;
+}
+
+/* The reply, or where there is a `code` the refusal; where `kept` is not null, it is kept there. */
+static void conclude(struct hbp *h, const struct request *request, uint16_t code, struct hbp_reply *kept)
+{
+    uint8_t flags = REPLY, transfer;
     if (code) {
-        n = error_payload(h, type, code, detail);
+        uint8_t *to = hbp_put16(h->link->work, code);
+        *to++ = request->type;
+        *to++ = 0;
+        (void)hbp_finish(h, put_float(to, h->detail));
         flags |= ERROR_FLAG;
+    } else {
+        h->last_tid = request->tid;
     }
-    if (kept) {
-        kept->there = 1;
-        kept->type = type;
-        kept->tid = request->tid;
-        kept->flags = flags;
-        kept->length = (uint16_t)n;
-        /* a part of a blob is not kept, but which part it was */
-        memcpy(kept->payload, h->link->work, !code && type == HBP_TYPE_BLOB_READ ? 12 : n);
-    }
-    {
-        uint8_t transfer = reply(h, request, flags, n, HBP_NEXT_TRANSFER);
-        if (kept) kept->transfer = transfer;
-    }
+    transfer = reply(h, request, flags, HBP_NEXT_TRANSFER);
+    if (!kept) return;
+    kept->there = 1;
+    kept->type = request->type;
+    kept->tid = request->tid;
+    kept->flags = flags;
+    kept->transfer = transfer;
+    kept->length = h->answered;
+    /* a part of a blob is not kept, but which part it was */
+    memcpy(kept->payload, h->link->work, !code && kept->type == HBP_TYPE_BLOB_READ ? 12 : kept->length);
 }
 
 static int answered_before(struct hbp *h, const struct request *request, uint32_t crc)
@@ -1267,8 +1261,9 @@ static int answered_before(struct hbp *h, const struct request *request, uint32_
             (void)blob_reply(h, kept->payload[0], hbp_get32(kept->payload + 4), hbp_get16(kept->payload + 2), total);
         } else {
             memcpy(h->link->work, kept->payload, kept->length);
+            h->answered = kept->length;
         }
-        reply(h, request, kept->flags, kept->length, kept->transfer);
+        (void)reply(h, request, kept->flags, kept->transfer);
         return 1;
     }
     return 0;
@@ -1297,8 +1292,10 @@ static int always_afresh(const struct request *request)
 void hbp_receive(struct hbp *h, const uint8_t *raw, uint8_t host, int mine)
 {
     struct request request;
-    unsigned k = 0, n = sizeof requests / sizeof requests[0];
+    struct hbp_reply *kept = NULL;
+    const struct kind *kind;
     uint32_t newest = 0;
+    uint16_t code;
     request.type = raw[0];
     request.flags = raw[1];
     request.tid = hbp_get16(raw + 2);
@@ -1312,26 +1309,22 @@ void hbp_receive(struct hbp *h, const uint8_t *raw, uint8_t host, int mine)
     for (unsigned i = 0; i < HBP_HOSTS; i++)
         if (h->peers[i].used > newest) newest = h->peers[i].used;
     h->peer->used = newest + 1u;
-    while (k < n && requests[k].type != request.type) k++;
-    if (k < n && (requests[k].feature & ~h->features)) k = n;
-    if (!mine) {
-        refuse(h, &request, HBP_ERROR_UNKNOWN_NODE, (float)raw[6]);
-    } else if (request.type != HBP_TYPE_HELLO && (request.flags & MAJOR_MASK) != HBP_MAJOR) {
-        refuse(h, &request, HBP_ERROR_BAD_VERSION, HBP_MAJOR);
-    } else if (k == n) {
-        refuse(h, &request, HBP_ERROR_UNKNOWN_TYPE, (float)request.type);
-    } else if ((request.tid == 0) != (request.type == HBP_TYPE_ALIVE || request.type == HBP_TYPE_SETPOINT)) {
-        refuse(h, &request, HBP_ERROR_BAD_VALUE, (float)request.tid);
-    } else if (request.tid == 0 || always_afresh(&request)) {
-        execute(h, &request, k, NULL);
-    } else {
+    h->detail = 0.0f;
+    h->answered = 0;
+    kind = kind_of(h, request.type);
+    code = mine ? check(h, &request, kind) : hbp_refuse(h, HBP_ERROR_UNKNOWN_NODE, raw[6]);
+    if (!code && request.tid && !always_afresh(&request)) {
         uint32_t crc = hbp_crc(0xFFFFFFFFu, raw, (size_t)HEADER + request.length);
-        struct hbp_reply *kept = &h->peer->kept[h->peer->oldest];
         if (answered_before(h, &request, crc)) return;
+        kept = &h->peer->kept[h->peer->oldest];
         h->peer->oldest = (uint8_t)((h->peer->oldest + 1u) % HBP_KEPT);
         kept->request = crc;
-        execute(h, &request, k, kept);
     }
+    if (!code) {
+        code = execute(h, &request, kind);
+        if (!code && !request.tid) return;
+    }
+    conclude(h, &request, code, kept);
 }
 
 /* ---- a device joins a link ----------------------------------------------------------------------------------------------- */
@@ -1528,9 +1521,9 @@ static uint32_t byte_shape(struct hbp *h, struct hbp_stream *s)
     return 0;
 }
 
-static uint16_t byte_open(struct hbp *h, struct hbp_stream *s, float *detail)
+static uint16_t byte_open(struct hbp *h, struct hbp_stream *s)
 {
-    (void)h, (void)s, (void)detail;
+    (void)h, (void)s;
     return 0;
 }
 

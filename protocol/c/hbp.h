@@ -539,7 +539,9 @@ struct hbp_capture {
 struct hbp { /* a device; what is used most stands in front, where a Cortex-M reaches it with instructions of 16 bits */
     const struct hbp_config *config;
     struct hbp_link_base *link;
-    struct hbp_peer *peer; /* whose request is being answered */
+    struct hbp_peer *peer; /* whose request is being answered, */
+    float detail;          /* with this, where it is refused, */
+    uint16_t answered;     /* or with so many bytes */
 #if HBP_CAPTURE
     struct hbp_capture *capture; /* null: no memory for it */
 #endif

@@ -37,7 +37,7 @@ static struct hbp_can *can_of(const struct hbp *h)
 }
 
 /* Time in units that last for days: of a quarter to half a millisecond. */
-static void set_clock(struct hbp_can *can, uint64_t now)
+static HBP_SHARED void set_clock(struct hbp_can *can, uint64_t now)
 {
     can->now = (uint32_t)(now >> can->shift);
 }
@@ -233,32 +233,36 @@ static uint32_t can_shape(struct hbp *h, struct hbp_stream *s)
 
 /* ---- slots, handed out in circles of 16 for edges and 32 for samples -------------------------------------------------------- */
 
+/* By what a slot is taken modulo the number of all of them. */
+static uint32_t circle_of(const struct hbp_stream *s)
+{
+    return s->event == HBP_STREAM_EDGES ? 15u : 31u;
+}
+
 static int is_taken(const struct hbp *h, const struct hbp_stream *wanted, uint32_t slot, int its_own)
 {
-    uint32_t size = wanted->event == HBP_STREAM_EDGES ? 16u : 32u;
     for (unsigned k = 0; k < HBP_STREAMS; k++) {
         const struct hbp_stream *s = &h->streams[k];
         if (!s->configured || s->event != wanted->event || (k == wanted->number && !its_own)) continue;
-        if ((slot + size - s->slot) % size < s->groups) return 1;
+        if (((slot - s->slot) & circle_of(wanted)) < s->groups) return 1;
     }
     return 0;
 }
 
-static uint16_t can_open(struct hbp *h, struct hbp_stream *wanted, float *detail)
+static uint16_t can_open(struct hbp *h, struct hbp_stream *wanted)
 {
-    uint32_t size = wanted->event == HBP_STREAM_EDGES ? 16u : 32u;
+    uint32_t circle = circle_of(wanted);
     uint8_t *next = &can_of(h)->slots[wanted->event == HBP_STREAM_EDGES];
     for (int its_own = 1; its_own >= 0; its_own--) {
-        for (uint32_t start = 0; start < size; start++) {
-            uint32_t first = (*next + start) % size, n = 0;
-            while (n < wanted->groups && !is_taken(h, wanted, (first + n) % size, its_own)) n++;
+        for (uint32_t start = 0; start <= circle; start++) {
+            uint32_t first = *next + start, n = 0;
+            while (n < wanted->groups && !is_taken(h, wanted, first + n, its_own)) n++;
             if (n < wanted->groups) continue;
-            wanted->slot = (uint8_t)first;
-            *next = (uint8_t)((first + n) % size);
+            wanted->slot = (uint8_t)(first & circle);
+            *next = (uint8_t)((first + n) & circle);
             return 0;
         }
     }
-    (void)detail;
     return HBP_ERROR_DOES_NOT_FIT;
 }
 
@@ -379,10 +383,10 @@ static int feed(struct hbp_can *can, struct hbp_transfer *t, const uint8_t *data
 
 static int belongs(uint32_t class, uint32_t slot, int to_all, uint8_t type)
 {
-    int is_status = type == HBP_TYPE_ALIVE || type == HBP_TYPE_SETPOINT || type == HBP_TYPE_HEARTBEAT ||
-                    type == HBP_TYPE_EVENT || type == HBP_TYPE_LOG;
-    if (class == STATUS) return is_status && (type & 15u) == slot;
-    return !is_status && (!to_all || type == HBP_TYPE_HELLO);
+    if (class == STATUS) return (type == HBP_TYPE_ALIVE || type == HBP_TYPE_SETPOINT) && (type & 15u) == slot;
+    if (to_all) return type == HBP_TYPE_HELLO;
+    return type != HBP_TYPE_ALIVE && type != HBP_TYPE_SETPOINT && type != HBP_TYPE_HEARTBEAT && type != HBP_TYPE_EVENT &&
+           type != HBP_TYPE_LOG;
 }
 
 static int is_for(const struct hbp *h, uint32_t class, uint32_t node, uint32_t slot)

@@ -24,16 +24,11 @@ enum { FIRST, RECORDS, EDGES, EDGES_LOST, FIRST_EDGE, SIZE, CRC, ROOM, TICK, TIC
 
 /* ---- conditions on a channel: a range of its raw values, so that the interrupt compares whole numbers ------------------------ */
 
-/* What the values of a type are exclusive-or'd with to be in order from 0 on. */
+/* What the values of a type are exclusive-or'd with to be in order from 0 on: the sign's bit. */
 static uint32_t flip_of(uint8_t type)
 {
-    switch (type) {
-    case HBP_RAW_I8: return 0x80u;
-    case HBP_RAW_I16: return 0x8000u;
-    case HBP_RAW_I32:
-    case HBP_RAW_F32: return SIGN;
-    default: return 0;
-    }
+    int has_sign = type == HBP_RAW_I8 || type == HBP_RAW_I16 || type >= HBP_RAW_I32;
+    return has_sign ? SIGN >> (32u - 8u * hbp_widths[type]) : 0;
 }
 
 /* By which a value fills 32 bits: there signed ones are in order as others are, but for where they begin. */
@@ -167,7 +162,7 @@ static void begin(struct hbp *h, const uint8_t *in, uint32_t record_bytes)
     c->edge_room = hbp_get16(in + 18);
     c->channels = hbp_get16(in + 20);
     c->record_bytes = (uint16_t)record_bytes;
-    c->number = (uint16_t)(c->number % 0xFFFFu + 1u);
+    c->number = hbp_next_number(c->number);
     c->records = h->config->capture + EDGE_BYTES * c->edge_room;
     c->ring_bytes = (c->before + c->after) * record_bytes;
     c->to = c->end = c->records + c->ring_bytes; /* the first record begins the first round */
@@ -196,7 +191,6 @@ static uint32_t stand_by(struct hbp *h)
     const struct hbp_config *config = h->config;
     uint8_t *in = h->link->work;
     uint32_t n = 0, bytes = 0, wanted = config->pwm_hz / 4u, edges = 0, records, room;
-    float detail;
     if (config->features & HBP_FEATURE_EDGES) edges = h->capture->room / 128u;
     if (edges > 1024u) edges = 1024u;
     room = h->capture->room - EDGE_BYTES * edges;
@@ -210,7 +204,7 @@ static uint32_t stand_by(struct hbp *h)
             (void)hbp_put16(in + HEAD + ID_BYTES * n++, config->channels[k].id);
         }
     }
-    if (!n || hbp_choose(h, in + HEAD, n, &bytes, &detail)) return HBP_WRONG_CAPTURE;
+    if (!n || hbp_choose(h, in + HEAD, n, &bytes)) return HBP_WRONG_CAPTURE;
     records = room / bytes < wanted ? room / bytes : wanted;
     if (records < 5u) return HBP_WRONG_CAPTURE;
     memset(in, 0, HEAD);
@@ -233,50 +227,50 @@ uint32_t hbp_capture_init(struct hbp *h)
     return stand_by(h);
 }
 
-static uint16_t wrong(const struct hbp *h, const uint8_t *in, uint32_t *bytes, float *detail)
+static uint16_t wrong(struct hbp *h, const uint8_t *in, uint32_t *bytes)
 {
     uint32_t before = hbp_get32(in + 4), after = hbp_get32(in + 8), n = hbp_get16(in + 20), edges = EDGE_BYTES * hbp_get16(in + 18), fits;
     uint16_t code, trigger_id = hbp_get16(in + 16);
     float level = hbp_get_float(in + 12);
     if (!hbp_get16(in + 2) || !after) return HBP_ERROR_BAD_VALUE;
     if (!hbp_finite(level)) {
-        *detail = level;
+        h->detail = level;
         return HBP_ERROR_BAD_VALUE;
     }
     if (!n) return HBP_ERROR_BAD_VALUE;
-    code = hbp_choose(h, in + HEAD, n, bytes, detail);
+    code = hbp_choose(h, in + HEAD, n, bytes);
     if (code) return code;
     if (in[0] >= HBP_TRIGGER_ABOVE && in[0] <= HBP_TRIGGER_CHANGES && !hbp_find_channel(h, trigger_id))
-        return hbp_refuse(detail, HBP_ERROR_UNKNOWN_ID, trigger_id);
+        return hbp_refuse(h, HBP_ERROR_UNKNOWN_ID, trigger_id);
     if (in[0] >= HBP_TRIGGER_ILLEGAL && !(h->config->features & HBP_FEATURE_EDGES))
-        return hbp_refuse(detail, HBP_ERROR_NOT_SUPPORTED, in[0]);
+        return hbp_refuse(h, HBP_ERROR_NOT_SUPPORTED, in[0]);
     fits = edges < h->capture->room ? (h->capture->room - edges) / *bytes : 0;
-    return before > fits || after > fits - before ? hbp_refuse(detail, HBP_ERROR_DOES_NOT_FIT, fits) : 0;
+    return before > fits || after > fits - before ? hbp_refuse(h, HBP_ERROR_DOES_NOT_FIT, fits) : 0;
 }
 
-uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in)
 {
     struct hbp_capture *c = h->capture;
     uint32_t bytes;
     uint16_t code;
-    if (in[0] > HBP_TRIGGER_PULSE) return hbp_refuse(detail, HBP_ERROR_BAD_VALUE, in[0]);
+    if (in[0] > HBP_TRIGGER_PULSE) return hbp_refuse(h, HBP_ERROR_BAD_VALUE, in[0]);
     if (in[0] == HBP_TRIGGER_OFF) {
         (void)stand_by(h);
     } else {
-        if (c->state == HBP_CAPTURE_FROZEN) return hbp_refuse(detail, HBP_ERROR_BUSY, c->number);
-        code = wrong(h, in, &bytes, detail);
+        if (c->state == HBP_CAPTURE_FROZEN) return hbp_refuse(h, HBP_ERROR_BUSY, c->number);
+        code = wrong(h, in, &bytes);
         if (code) return code;
         begin(h, in, bytes);
     }
-    return hbp_capture_status(h, in, n, detail);
+    return hbp_capture_status(h, in);
 }
 
-uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t *n, float *detail)
+uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in)
 {
     const struct hbp_capture *c = h->capture;
     uint8_t *to = h->link->work, asked = c->calls.by.asked, state = c->state;
     uint32_t most = (h->peer->tx_max - REPLY_HEAD) / ID_BYTES, channels = c->channels < most ? c->channels : most;
-    (void)in, (void)detail;
+    (void)in;
     if (state != HBP_CAPTURE_ARMED) asked = c->cause;
     else if (asked) state = HBP_CAPTURE_TRIGGERED;
     *to++ = state;
@@ -287,8 +281,7 @@ uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t *n, float *
         to = hbp_put32(to, k == ROOM ? c->room : state == HBP_CAPTURE_FROZEN ? c->told[k] : 0);
     to = hbp_put16(to, channels);
     for (uint32_t k = 0; k < channels; k++) to = hbp_put16(to, h->config->channels[c->take[k]].id);
-    *n = (size_t)(to - h->link->work);
-    return 0;
+    return hbp_finish(h, to);
 }
 
 /* ---- the interrupts -------------------------------------------------------------------------------------------------------- */

@@ -24,11 +24,17 @@ struct hbp_way { /* how a device's messages and streams get onto its link */
     int (*send)(struct hbp *h, struct hbp_message *message);       /* 0: no room, nothing is sent */
     int (*beats)(const struct hbp *h);                             /* the last heartbeat still waits */
     uint32_t (*shape)(struct hbp *h, struct hbp_stream *s);        /* sets block, rate, groups; bytes that fit if it does not, else 0 */
-    uint16_t (*open)(struct hbp *h, struct hbp_stream *s, float *detail); /* sets the slot, or refuses */
+    uint16_t (*open)(struct hbp *h, struct hbp_stream *s); /* sets the slot, or refuses */
     int (*samples)(struct hbp *h, struct hbp_stream *s, const struct hbp_block *block, const uint8_t *records); /* 0: no room */
     int (*edges)(struct hbp *h, struct hbp_stream *s, uint16_t n); /* the n next ones, without a gap; 0: no room */
     uint8_t counts_samples; /* 1: `seq` is the number of a block's first sample; 0: it counts blocks */
 };
+
+#if defined(__GNUC__)
+#define HBP_SHARED __attribute__((noinline)) /* of a small function with many callers: compiled for size, gcc would copy it into them */
+#else
+#define HBP_SHARED
+#endif
 
 extern const uint8_t hbp_widths[]; /* bytes of each raw type */
 
@@ -77,11 +83,13 @@ float hbp_get_float(const uint8_t *from);
 uint8_t *hbp_put_header(struct hbp *h, const struct hbp_message *message); /* in front of the payload; where it begins */
 uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags);
 int hbp_finite(float value);
-uint16_t hbp_refuse(float *detail, uint16_t code, uint32_t number);
+HBP_SHARED uint16_t hbp_refuse(struct hbp *h, uint16_t code, uint32_t number); /* a code, and its detail */
+HBP_SHARED uint16_t hbp_finish(struct hbp *h, const uint8_t *end);              /* of the reply, 0 */
 void hbp_event(struct hbp *h, uint32_t code, float arg, float detail);
+uint16_t hbp_next_number(uint16_t number); /* 1 … 65535, 1, … */
 uint32_t hbp_rounded_up(uint64_t index, uint16_t decimation);
 const struct hbp_channel *hbp_find_channel(const struct hbp *h, uint32_t id);
-uint16_t hbp_choose(const struct hbp *h, const uint8_t *ids, uint32_t n, uint32_t *bytes, float *detail);
+uint16_t hbp_choose(struct hbp *h, const uint8_t *ids, uint32_t n, uint32_t *bytes);
 void hbp_take_channels(const struct hbp *h, const uint8_t *ids, uint32_t n, uint16_t *take);
 void hbp_copy_sample(const struct hbp *h, const uint16_t *take, uint32_t n, const uint8_t *sample, uint8_t *to);
 uint32_t hbp_crc(uint32_t crc, const uint8_t *data, size_t n);
@@ -101,8 +109,8 @@ void hbp_capture_tick(struct hbp *h, const uint8_t *sample);          /* interru
 void hbp_capture_called(struct hbp *h, const uint8_t *sample, struct hbp_capture *c, uint32_t value);
 void hbp_capture_edge(struct hbp *h, uint32_t tick, uint8_t codes, uint16_t encoder); /* interrupt, before the edge is counted */
 void hbp_capture_poll(struct hbp *h);
-uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in, size_t *n, float *detail);
-uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in, size_t *n, float *detail);
+uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in);
+uint16_t hbp_capture_status(struct hbp *h, const uint8_t *in);
 uint32_t hbp_capture_blob_bytes(const struct hbp *h);                 /* 0: none is frozen */
 const uint8_t *hbp_capture_blob(const struct hbp *h, uint32_t offset, uint32_t *n); /* bytes there, at most *n */
 #endif
