@@ -931,7 +931,7 @@ void hbp_copy_sample(const struct hbp *h, const uint16_t *take, uint32_t n, cons
     }
 }
 
-static void take(struct hbp *h, struct hbp_stream *s, uint32_t index, const uint8_t *sample)
+static HBP_APART void take(struct hbp *h, struct hbp_stream *s, uint32_t index, const uint8_t *sample)
 {
     if (!s->filled) begin_block(h, s, index);
     if (!s->dropping) {
@@ -1202,13 +1202,13 @@ static int is_one_way(uint8_t type)
     return type == HBP_TYPE_ALIVE || type == HBP_TYPE_SETPOINT;
 }
 
-/* Checks 3 to 6. */
+/* Checks 3 to 5. */
 static uint16_t check(struct hbp *h, const struct request *request, const struct kind *kind)
 {
     if (request->type != HBP_TYPE_HELLO && (request->flags & MAJOR_MASK) != HBP_MAJOR)
         return hbp_refuse(h, HBP_ERROR_BAD_VERSION, HBP_MAJOR);
     if (!kind) return hbp_refuse(h, HBP_ERROR_UNKNOWN_TYPE, request->type);
-    if (!request->tid != is_one_way(request->type)) return hbp_refuse(h, HBP_ERROR_BAD_VALUE, request->tid);
+    if ((request->tid == 0) != is_one_way(request->type)) return hbp_refuse(h, HBP_ERROR_BAD_VALUE, request->tid);
     return 0;
 }
 

@@ -2,7 +2,7 @@
  *
  * WHAT.  Copy hbp.h, hbp_way.h, hbp.c and hbp_capture.c into a firmware (and hbp_can.h, hbp_can.c for CAN), and a motor drive answers
  * `bench`: identity, parameters, states and watchdog, samples at the PWM rate, timestamped Hall edges, events, captures. No heap, no
- * operating system, no library but memcpy, memset, memcmp. Proved by `bench conform`.
+ * operating system, no library but memcpy and memset. Proved by `bench conform`.
  *
  * MEMORY.  The caller owns all of it: one `struct hbp_link` for each serial port, USB or TCP connection, one `struct hbp` for each
  * device behind it (one, as a rule). Their size follows from the options below; `docs/firmware.md` has figures.
@@ -96,9 +96,9 @@
  * All edges up to a sample's tick must be given before that sample, and all up to `now` before hbp_poll. Interrupts are those of the
  * core that runs the main loop, and 32-bit loads and stores are whole.
  *
- * TIME OF THE INTERRUPTS.  hbp_tick copies the chosen channels of each running stream: on a Cortex-M4, compiled for size, 50 instructions, 45
- * for each running stream of samples and 17 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 54,
- * hbp_may_run 17 and hbp_raise 22. While a capture waits hbp_tick takes 40 more, and the copying of its record, and hbp_edge 102. CRC and
+ * TIME OF THE INTERRUPTS.  hbp_tick copies the chosen channels of each running stream: on a Cortex-M4, compiled for size, 46 instructions, 45
+ * for each running stream of samples and 17 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 53,
+ * hbp_may_run 16 and hbp_raise 22. While a capture waits hbp_tick takes 40 more, and the copying of its record, and hbp_edge 101. CRC and
  * COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
  *
  * WHAT IS LOST IS COUNTED.  Samples wait in blocks, one being filled by the interrupt, until the transmit queue has room. A block that

@@ -37,7 +37,7 @@ static struct hbp_can *can_of(const struct hbp *h)
 }
 
 /* Time in units that last for days: of a quarter to half a millisecond. */
-static HBP_SHARED void set_clock(struct hbp_can *can, uint64_t now)
+static HBP_APART void set_clock(struct hbp_can *can, uint64_t now)
 {
     can->now = (uint32_t)(now >> can->shift);
 }

@@ -31,9 +31,9 @@ struct hbp_way { /* how a device's messages and streams get onto its link */
 };
 
 #if defined(__GNUC__)
-#define HBP_SHARED __attribute__((noinline)) /* of a small function with many callers: compiled for size, gcc would copy it into them */
+#define HBP_APART __attribute__((noinline)) /* compiled for size, gcc would copy the function into its callers, and the code would grow */
 #else
-#define HBP_SHARED
+#define HBP_APART
 #endif
 
 extern const uint8_t hbp_widths[]; /* bytes of each raw type */
@@ -83,8 +83,8 @@ float hbp_get_float(const uint8_t *from);
 uint8_t *hbp_put_header(struct hbp *h, const struct hbp_message *message); /* in front of the payload; where it begins */
 uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags);
 int hbp_finite(float value);
-HBP_SHARED uint16_t hbp_refuse(struct hbp *h, uint16_t code, uint32_t number); /* a code, and its detail */
-HBP_SHARED uint16_t hbp_finish(struct hbp *h, const uint8_t *end);              /* of the reply, 0 */
+HBP_APART uint16_t hbp_refuse(struct hbp *h, uint16_t code, uint32_t number); /* a code, and its detail */
+uint16_t hbp_finish(struct hbp *h, const uint8_t *end);              /* of the reply, 0 */
 void hbp_event(struct hbp *h, uint32_t code, float arg, float detail);
 uint16_t hbp_next_number(uint16_t number); /* 1 … 65535, 1, … */
 uint32_t hbp_rounded_up(uint64_t index, uint16_t decimation);
