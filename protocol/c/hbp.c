@@ -21,7 +21,7 @@
 #define FAULT_MASK 0x00FFFFFFu
 #define OVERRUN 1u
 #define GIVEN (HBP_FEATURE_CAPTURE | HBP_FEATURE_MEANINGS | HBP_FEATURE_WAVEFORM) /* features by what the configuration gives */
-#define LACKING HBP_FEATURE_MEANS
+#define LACKING (HBP_MEANS ? 0 : HBP_FEATURE_MEANS)
 #define DESCRIPTOR 0u /* blobs */
 #define CAPTURED 1u
 #define MEANINGS 3u
@@ -37,6 +37,7 @@ CHECK(pools, HBP_POOLS >= 1 && HBP_POOLS <= HBP_STREAMS);
 CHECK(pool_bytes, HBP_POOL_BYTES % 4 == 0 && HBP_POOL_BYTES >= 2 * (HBP_TX_MAX + 4));
 CHECK(edges, (HBP_EDGES & (HBP_EDGES - 1)) == 0 && HBP_EDGES <= 32768);
 CHECK(capture, HBP_CAPTURE == 0 || (HBP_CAPTURE == 1 && 22 + 2 * HBP_CHANNELS <= HBP_TX_MAX && HBP_CAPTURE_PART >= 1));
+CHECK(means, HBP_MEANS == 0 || HBP_MEANS == 1);
 CHECK(hosts, HBP_HOSTS >= 1 && HBP_HOSTS <= 16);
 
 const uint8_t hbp_widths[] = {0, 1, 1, 2, 2, 4, 4, 4};
@@ -751,12 +752,14 @@ static uint16_t configure(struct hbp *h, struct hbp_stream *s, const uint8_t *in
         if (channels) return hbp_refuse(h, HBP_ERROR_BAD_VALUE, channels);
         s->record_bytes = EDGE_BYTES;
     } else {
-        if (s->event != HBP_STREAM_PWM) return hbp_refuse(h, HBP_ERROR_NOT_SUPPORTED, s->event);
+        int means = hbp_has_means(s) && (h->features & HBP_FEATURE_MEANS);
+        if (s->event != HBP_STREAM_PWM && !means) return hbp_refuse(h, HBP_ERROR_NOT_SUPPORTED, s->event);
         if (!s->decimation || !channels) return HBP_ERROR_BAD_VALUE;
         code = hbp_choose(h, in + 8, channels, &bytes);
         if (code) return code;
         hbp_take_channels(h, in + 8, channels, s->take);
-        s->record_bytes = (uint16_t)bytes;
+        s->record_bytes = (uint16_t)(means ? 4u * channels : bytes);
+        if (means) hbp_means_prepare(h, s);
     }
     return 0;
 }
@@ -767,7 +770,7 @@ static uint16_t fit(struct hbp *h, struct hbp_stream *s, const struct hbp_stream
     if (fits) return hbp_refuse(h, HBP_ERROR_DOES_NOT_FIT, fits);
     *share = load(h, mine, s->rate);
     if (*share > MAX_LOAD) return hbp_refuse(h, HBP_ERROR_DOES_NOT_FIT, decimation_that_fits(h, mine, s));
-    if (s->event == HBP_STREAM_PWM) {
+    if (s->event != HBP_STREAM_EDGES) {
         uint32_t header = sizeof(struct hbp_block), most = HBP_POOL_BYTES / 2u - header;
         if ((uint32_t)s->block * s->record_bytes > most) s->block = (uint16_t)(most / s->record_bytes);
         s->pool = s->block ? free_pool(h, mine) : HBP_POOLS;
@@ -936,7 +939,8 @@ static HBP_APART void take(struct hbp *h, struct hbp_stream *s, uint32_t index, 
     if (!s->filled) begin_block(h, s, index);
     if (!s->dropping) {
         uint8_t *to = records_of(block_at(h, s, s->write)) + (size_t)s->filled * s->record_bytes;
-        hbp_copy_sample(h, s->take, s->channels, sample, to);
+        if (hbp_has_means(s)) hbp_means_put(h, s, sample, to);
+        else hbp_copy_sample(h, s->take, s->channels, sample, to);
     }
     if (++s->filled == s->block) end_block(s);
 }
@@ -959,13 +963,14 @@ void hbp_tick(struct hbp *h, const void *sample)
     uint32_t index = (uint32_t)h->index;
     for (unsigned k = 0; k < HBP_STREAMS; k++) {
         struct hbp_stream *s = &h->streams[k];
-        if (!s->running || s->event != HBP_STREAM_PWM) continue;
-        if (!s->aligned) {
-            uint32_t number = hbp_rounded_up(h->index, s->decimation);
+        if (!s->running || s->event == HBP_STREAM_EDGES) continue;
+        if (!s->aligned) { /* of means, all periods must come */
+            uint32_t number = hbp_rounded_up(h->index + (hbp_has_means(s) ? s->decimation - 1u : 0u), s->decimation);
             s->next = number * s->decimation;
             if (s->counts_samples) s->seq = (uint16_t)number;
             s->aligned = 1;
         }
+        if (hbp_has_means(s)) hbp_means_add(h, s, sample, s->next - index);
         if (index != s->next) continue;
         s->next += s->decimation;
         take(h, s, index, sample);

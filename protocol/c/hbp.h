@@ -155,6 +155,9 @@ extern "C" {
 #ifndef HBP_WAVEFORM
 #define HBP_WAVEFORM 1 /* 1: hosts can write samples of a test signal into memory that the configuration gives; 0: they cannot */
 #endif
+#ifndef HBP_MEANS
+#define HBP_MEANS 0 /* 1: with hbp_means.c, streams of means, for links that are too slow for samples (set HBP_FEATURE_MEANS); 0: without */
+#endif
 #ifndef HBP_CAPTURE_PART
 #define HBP_CAPTURE_PART 256 /* bytes of a frozen capture of which hbp_poll makes the CRC at a time */
 #endif
@@ -395,7 +398,7 @@ struct hbp_parameter {
 struct hbp_config {
     uint8_t node;               /* 1 … ; on CAN at most 15 */
     uint8_t role;
-    uint32_t features;          /* HBP_FEATURE_EDGES, HBP_FEATURE_COMMIT */
+    uint32_t features;          /* HBP_FEATURE_EDGES, HBP_FEATURE_COMMIT, HBP_FEATURE_MEANS */
     uint32_t tick_hz, pwm_hz;   /* ticks in a second, a multiple of pwm_hz; calls of hbp_tick in a second */
     uint64_t tick0;             /* tick of PWM period 0, the first call of hbp_tick: by it samples lie beside edges */
     const char *name, *firmware, *serial, *build; /* at most 16, 16, 24, 24 bytes; all but the name may be null */
@@ -453,6 +456,16 @@ struct hbp_hall_edge {
     uint8_t codes;
 };
 
+#if HBP_MEANS
+struct hbp_mean { /* the periods of a channel since the last record */
+    union {
+        int64_t whole;
+        double real; /* of an f32 */
+    } first, total; /* the total, or that of the differences from the first where the channel wraps */
+    double turn;    /* of an f32 that wraps; 0: it does not */
+};
+#endif
+
 struct hbp_stream {
     /* the main loop's; the interrupt reads them while the stream runs */
     uint8_t number, configured, event, slot, pool, groups, counts_samples; /* frames of a block; on CAN, what `seq` is */
@@ -475,6 +488,9 @@ struct hbp_stream {
     volatile uint32_t dropped;   /* frames for which there was no place */
     /* the main loop's, as above */
     uint16_t take[HBP_CHANNELS]; /* positions in the table of channels */
+#if HBP_MEANS
+    struct hbp_mean means[HBP_CHANNELS]; /* the interrupt's */
+#endif
 };
 
 #if HBP_CAPTURE

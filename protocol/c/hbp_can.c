@@ -195,7 +195,7 @@ static uint32_t group(const struct hbp *h, const struct hbp_stream *s, unsigned 
 {
     uint32_t most = is_fd(can_of(h)) ? 60u : 6u, bytes = 0;
     while (*k < s->channels) {
-        uint32_t width = hbp_widths[h->config->channels[s->take[*k]].type];
+        uint32_t width = hbp_width_in(s, &h->config->channels[s->take[*k]]);
         if (bytes + width > most) break;
         bytes += width;
         ++*k;
@@ -233,7 +233,7 @@ static uint32_t can_shape(struct hbp *h, struct hbp_stream *s)
 
 /* ---- slots, handed out in circles of 16 for edges and 32 for samples -------------------------------------------------------- */
 
-/* By what a slot is taken modulo the number of all of them. */
+/* The last of the slots that edges have among them, or samples. */
 static uint32_t circle_of(const struct hbp_stream *s)
 {
     return s->event == HBP_STREAM_EDGES ? 15u : 31u;
@@ -243,7 +243,7 @@ static int is_taken(const struct hbp *h, const struct hbp_stream *wanted, uint32
 {
     for (unsigned k = 0; k < HBP_STREAMS; k++) {
         const struct hbp_stream *s = &h->streams[k];
-        if (!s->configured || s->event != wanted->event || (k == wanted->number && !its_own)) continue;
+        if (!s->configured || circle_of(s) != circle_of(wanted) || (k == wanted->number && !its_own)) continue;
         if (((slot - s->slot) & circle_of(wanted)) < s->groups) return 1;
     }
     return 0;

@@ -102,6 +102,38 @@ void hbp_stop(struct hbp *h);
 uint32_t hbp_dropped(const struct hbp *h);
 uint16_t hbp_watchdog_ms(const struct hbp *h);
 
+/* Whether records of a stream are means: f32, each. */
+static inline int hbp_has_means(const struct hbp_stream *s)
+{
+    return HBP_MEANS && s->event == HBP_STREAM_MEAN;
+}
+
+static inline uint32_t hbp_width_in(const struct hbp_stream *s, const struct hbp_channel *channel)
+{
+    return hbp_has_means(s) ? 4u : hbp_widths[channel->type];
+}
+
+#if HBP_MEANS
+void hbp_means_prepare(const struct hbp *h, struct hbp_stream *s);    /* main loop: its channels are known */
+void hbp_means_add(const struct hbp *h, struct hbp_stream *s, const uint8_t *sample, uint32_t left); /* interrupt: periods to the record */
+void hbp_means_put(const struct hbp *h, const struct hbp_stream *s, const uint8_t *sample, uint8_t *to); /* interrupt: the record */
+#else /* no stream has means */
+static inline void hbp_means_prepare(const struct hbp *h, struct hbp_stream *s)
+{
+    (void)h, (void)s;
+}
+
+static inline void hbp_means_add(const struct hbp *h, struct hbp_stream *s, const uint8_t *sample, uint32_t left)
+{
+    (void)h, (void)s, (void)sample, (void)left;
+}
+
+static inline void hbp_means_put(const struct hbp *h, const struct hbp_stream *s, const uint8_t *sample, uint8_t *to)
+{
+    (void)h, (void)s, (void)sample, (void)to;
+}
+#endif
+
 #if HBP_CAPTURE
 uint32_t hbp_capture_init(struct hbp *h);
 void hbp_capture_ask(struct hbp *h, uint8_t trigger);                 /* main loop: the trigger, if it is armed with that one */

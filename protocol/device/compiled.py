@@ -34,15 +34,13 @@ from protocol.messages import DriveState, Fault, Feature, SetpointMode
 from protocol.streams import EDGE_RECORD
 
 SOURCE = Path(__file__).parents[1] / "c"
-FILES = ("hbp.c", "hbp_capture.c", "hbp_can.c", "host/shim.c")
+FILES = ("hbp.c", "hbp_capture.c", "hbp_means.c", "hbp_can.c", "host/shim.c")
 FLAGS = "-std=c99 -O2 -fPIC -shared"
 OPTIONS = """
     HBP_RX_MAX=1024 HBP_TX_MAX=1024 HBP_TX_BYTES=8192 HBP_CHANNELS=256 HBP_POOLS=4 HBP_EDGES=16384 HBP_HOSTS=16
-    HBP_CRC_TABLE=256 HBP_CAPTURE_PART=1048576 HBP_CAN_BYTES=64 HBP_CAN_MESSAGES=1024 HBP_CAN_TRANSFERS=34
+    HBP_CRC_TABLE=256 HBP_CAPTURE_PART=1048576 HBP_MEANS=1 HBP_CAN_BYTES=64 HBP_CAN_MESSAGES=1024 HBP_CAN_TRANSFERS=34
 """
 MIN_POOL = 1 << 12  # bytes
-FEATURES = ~Feature.MEANS
-"""What the device side in C has: no other is told."""
 
 
 class NoCompiler(Exception):
@@ -157,7 +155,7 @@ class CompiledSession:
 
     def __init__(self, lib: ctypes.CDLL, app: DeviceApp, identity: Identity) -> None:
         extras = Extras.of(app)
-        self.app, self.identity = app, replace(identity, features=extras.features(identity) & FEATURES)
+        self.app, self.identity = app, replace(identity, features=extras.features(identity))
         self.raised: BaseException | None = None
         self._lib = lib
         self._dtype = sample_dtype(app.channels)

@@ -186,7 +186,7 @@ def _turn(channel: Signal) -> tuple[float, float]:
     if not channel.flags & Flag.WRAPS:
         return 0.0, 0.0
     if channel.raw is RawType.F32:
-        turn = math.tau / float(np.float32(channel.scale))
+        turn = math.tau / abs(float(np.float32(channel.scale)))
         return turn, -turn / 2
     limits = np.iinfo(channel.raw.dtype)
     return float(limits.max) - float(limits.min) + 1, float(limits.min)

@@ -165,14 +165,21 @@ def captured(asked: Asked, course: Course) -> tuple[bytes, dict[str, int]] | Non
     }
 
 
+def turn_of(kind: Kind) -> Fraction:
+    """What a turn of a channel that wraps is in raw values: all of a whole type, or 2 pi."""
+    if kind.type == "f32":
+        return Fraction(math.tau) / abs(Fraction(kind.scale))
+    return Fraction(1 << 8 * struct.calcsize(CODES[kind.type]))
+
+
 def mean(values: Sequence[float], kind: Kind) -> Fraction:
     """The mean of some raw values of a channel by 11.51, exactly."""
     if not kind.unit:
         return Fraction(values[-1])
     if not kind.wraps:
         return sum(map(Fraction, values), Fraction(0)) / len(values)
-    bits = 8 * struct.calcsize(CODES[kind.type])
-    turn, lowest = 1 << bits, -(1 << bits - 1) if kind.type[0] == "i" else 0
+    turn = turn_of(kind)
+    lowest = Fraction(0) if kind.type[0] == "u" else -turn / 2
     first = Fraction(values[0])
-    away = [(Fraction(value) - first + turn // 2) % turn - turn // 2 for value in values]
+    away = [(Fraction(value) - first + turn / 2) % turn - turn / 2 for value in values]
     return (first + sum(away, Fraction(0)) / len(values) - lowest) % turn + lowest

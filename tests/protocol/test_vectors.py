@@ -28,7 +28,6 @@ from protocol.canmap.host import CanWire
 from protocol.canmap.ids import CanClass, CanId
 from protocol.canmap.transport import TransferEncoder
 from protocol.descriptor import sample_dtype
-from protocol.device import compiled
 from protocol.framing import Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import Fault, Feature, StreamEvent
 from protocol.signals import SECTOR_OF_CODE, Flag, RawType, Signal, Unit, hall_map
@@ -87,7 +86,7 @@ def make(request: pytest.FixtureRequest) -> Callable[..., tuple]:
     return request.param
 
 
-HAS = {small_link: FEATURES, small_link_in_c: compiled.FEATURES, small_link_alone: FULL.features}
+HAS = {small_link: FEATURES, small_link_in_c: FEATURES, small_link_alone: FULL.features}
 """Features that each device side has at most."""
 
 
