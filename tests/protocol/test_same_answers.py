@@ -27,6 +27,7 @@ from protocol.messages import (
     ErrorCode,
     EventCode,
     Fault,
+    Feature,
     Hello,
     MessageType,
     ParamCommit,
@@ -223,12 +224,13 @@ def play(steps: list, links: list, fault: Callable[[Fault], None], compare: Call
 
 @needs("C compiler")
 @examples(20, 300, campaign="c")
-@given(st.lists(STEP, min_size=30, max_size=60), st.booleans())
-def test_c_says_what_python_says(steps: list, two_nodes: bool) -> None:
+@given(st.lists(STEP, min_size=30, max_size=60), st.booleans(), st.booleans())
+def test_c_says_what_python_says(steps: list, two_nodes: bool, means: bool) -> None:
+    features = Feature.EDGES | (Feature.MEANS if means else Feature(0))
     python, c = DeviceLink(TxQueue(1 << 24)), CompiledLink(1 << 20)
     for link in (python, c):
         for node in (1, 2)[: 1 + two_nodes]:
-            link.add(SmallDrive(), identity(node, tick_hz=TICK_HZ, pwm_hz=TICK_HZ // TICKS))
+            link.add(SmallDrive(), identity(node, tick_hz=TICK_HZ, pwm_hz=TICK_HZ // TICKS, features=features))
 
     def fault(bits: Fault) -> None:
         for link in (python, c):

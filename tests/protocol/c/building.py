@@ -10,7 +10,7 @@ from tests.tools import require
 ROOT = Path(__file__).resolve().parents[3]
 SOURCE = ROOT / "protocol" / "c"
 HERE = Path(__file__).parent
-FILES = ("hbp.c", "hbp_capture.c", "hbp_can.c")
+FILES = ("hbp.c", "hbp_capture.c", "hbp_means.c", "hbp_can.c")
 STRICT = (
     "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wcast-align", "-Wshadow", "-Werror",
 )  # fmt: skip
@@ -22,6 +22,7 @@ SMALL = {
 LARGE = {
     "RX_MAX": 1024, "TX_MAX": 1024, "TX_BYTES": 8192, "CHANNELS": 499, "POOLS": 4, "POOL_BYTES": 4096, "EDGES": 128,
     "HOSTS": 16, "CRC_TABLE": 256, "CAN_BYTES": 64, "CAN_MESSAGES": 512, "CAN_STREAMED": 64, "CAN_TRANSFERS": 34,
+    "MEANS": 1,
 }  # fmt: skip
 """Options of hbp.h and hbp_can.h: the least that a firmware can do with, and more than any has."""
 LIMIT = 100.0  # s, for any one program

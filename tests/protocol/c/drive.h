@@ -176,6 +176,27 @@ static inline uint32_t value_at(uint16_t id, uint32_t index)
     }
 }
 
+/* The value that it stands for. */
+static inline double number_at(uint16_t id, uint32_t index)
+{
+    return id == 3 || id == 4 ? (double)(int16_t)value_at(id, index) : (double)value_at(id, index);
+}
+
+/* The mean of the `n` periods up to `index`; of `theta`, which wraps, by its differences from the first; of those without unit the last. */
+static inline double mean_at(uint16_t id, uint32_t index, uint32_t n)
+{
+    double first = id == 3 ? number_at(id, index - (n - 1u)) : 0.0, total = 0.0, mean;
+    if (id < 3 || id > 5) return number_at(id, index);
+    for (uint32_t ago = 0; ago < n; ago++) {
+        double away = number_at(id, index - ago) - first;
+        if (id == 3) away += away < -32768.0 ? 65536.0 : away >= 32768.0 ? -65536.0 : 0.0;
+        total += away;
+    }
+    mean = first + total / n;
+    if (id == 3) mean += mean < -32768.0 ? 65536.0 : mean >= 32768.0 ? -65536.0 : 0.0;
+    return mean;
+}
+
 /* ---- frames ------------------------------------------------------------------------------------------------------------- */
 
 static inline uint32_t get(const uint8_t *from, unsigned bytes)
@@ -226,6 +247,29 @@ static inline void check_blob(const uint8_t *reply, const uint8_t *blob, const u
         REQUIRE((int32_t)(tick - index * TICKS) >= 0 && (int32_t)(last * TICKS - tick) >= 0);
         REQUIRE(edges - number >= kept || tick == edge_ticks[number % kept]);
     }
+}
+
+static inline unsigned bytes_in(uint8_t event, uint16_t id)
+{
+    return event == HBP_STREAM_MEAN ? 4u : channel_bytes(id);
+}
+
+/* A channel in a record of a stream; what is behind it. */
+static inline const uint8_t *check_value(const uint8_t *at, uint8_t event, uint16_t id, uint32_t index, uint16_t decimation)
+{
+    unsigned bytes = bytes_in(event, id);
+    uint32_t raw = get(at, bytes);
+    if (event == HBP_STREAM_MEAN) {
+        double mean = mean_at(id, index, decimation), off, allowed = (mean < 0.0 ? -mean : mean) / 8388608.0 + 1e-9;
+        float told;
+        memcpy(&told, &raw, sizeof told);
+        off = (double)told - mean;
+        if (id == 3 && off < -65535.0) off += 65536.0; /* rounded up to a whole turn */
+        REQUIRE(off <= allowed && -off <= allowed);
+    } else {
+        REQUIRE(raw == value_at(id, index));
+    }
+    return at + bytes;
 }
 
 /* Header, payload and CRC of a frame, at `to`; its length. */

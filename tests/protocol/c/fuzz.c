@@ -84,17 +84,13 @@ static void check_all(void)
 static unsigned record_bytes(const struct config_told *told)
 {
     unsigned bytes = 0;
-    for (unsigned k = 0; k < told->channels; k++) bytes += channel_bytes(told->ids[k]);
+    for (unsigned k = 0; k < told->channels; k++) bytes += bytes_in(told->event, told->ids[k]);
     return bytes;
 }
 
 static const uint8_t *check_record(const struct config_told *told, const uint8_t *at, uint32_t index)
 {
-    for (unsigned k = 0; k < told->channels; k++) {
-        unsigned bytes = channel_bytes(told->ids[k]);
-        REQUIRE(get(at, bytes) == value_at(told->ids[k], index));
-        at += bytes;
-    }
+    for (unsigned k = 0; k < told->channels; k++) at = check_value(at, told->event, told->ids[k], index, told->decimation);
     return at;
 }
 
@@ -103,7 +99,7 @@ static void check_samples(struct node *node, struct config_told *told, const uin
     uint32_t records = get(payload + 2, 2), index = get(payload + 8, 4), step = told->decimation;
     uint16_t gap = (uint16_t)(get(payload + 6, 2) - told->seq);
     const uint8_t *at = payload + 16;
-    REQUIRE(told->event == HBP_STREAM_PWM && records && records <= told->block);
+    REQUIRE(told->event != HBP_STREAM_EDGES && records && records <= told->block);
     REQUIRE(n == 16u + records * record_bytes(told));
     REQUIRE(index % step == 0 && get(payload + 12, 4) == (uint32_t)(index * TICKS));
     REQUIRE((gap != 0) == (payload[1] & 1u));
@@ -154,7 +150,8 @@ static void remember_stream(struct node *node, const struct asked *asked, const 
     told->channels = (uint8_t)get(asked->payload + 6, 2);
     told->block = (uint16_t)block;
     for (unsigned k = 0; k < told->channels; k++) told->ids[k] = (uint8_t)get(asked->payload + 8 + 2 * k, 2);
-    REQUIRE(told->event != HBP_STREAM_PWM || get(payload + 4, 2) == record_bytes(told));
+    REQUIRE(told->event == HBP_STREAM_EDGES || get(payload + 4, 2) == record_bytes(told));
+    REQUIRE(HBP_MEANS || told->event != HBP_STREAM_MEAN);
 }
 
 static void check_heartbeat(struct node *node, const uint8_t *payload, size_t n)
@@ -474,7 +471,7 @@ static void begin_byte(void)
     hbp_link_init(link_, below(2) ? 0.0f : 100000.0f);
     memset(&came, 0, sizeof came);
     came.skipping = 1;
-    begin(below(4) ? HBP_FEATURE_EDGES : 0);
+    begin(below(4) ? HBP_FEATURE_EDGES | HBP_FEATURE_MEANS : 0);
 }
 
 /* ---- CAN ---------------------------------------------------------------------------------------------------------------- */
@@ -533,11 +530,11 @@ static void check_can_samples(const struct hbp_can_frame *f)
         uint32_t number, index;
         unsigned from = 0, to = 0, groups = (slot - s->slot) & 31u;
         if (s->configured != (k < HBP_STREAMS)) continue;
-        if (!s->decimation || s->event != HBP_STREAM_PWM || groups >= s->groups) continue;
+        if (!s->decimation || s->event == HBP_STREAM_EDGES || groups >= s->groups) continue;
         for (unsigned g = 0; g <= groups; g++) {
             unsigned bytes = 0;
-            for (from = to; to < s->channels && bytes + channel_bytes(s->take[to] + 1u) <= most; to++)
-                bytes += channel_bytes(s->take[to] + 1u);
+            for (from = to; to < s->channels && bytes + bytes_in(s->event, (uint16_t)(s->take[to] + 1u)) <= most; to++)
+                bytes += bytes_in(s->event, (uint16_t)(s->take[to] + 1u));
         }
         if (bus.data_bitrate) {
             index = get(f->data, 4);
@@ -548,11 +545,7 @@ static void check_can_samples(const struct hbp_can_frame *f)
         }
         REQUIRE(index % s->decimation == 0 && index < period);
         for (unsigned n = 0; n < s->block; n++, index += s->decimation)
-            for (unsigned c = from; c < to; c++) {
-                unsigned bytes = channel_bytes(s->take[c] + 1u);
-                REQUIRE(get(at, bytes) == value_at((uint16_t)(s->take[c] + 1u), index));
-                at += bytes;
-            }
+            for (unsigned c = from; c < to; c++) at = check_value(at, s->event, (uint16_t)(s->take[c] + 1u), index, s->decimation);
         while (at < f->data + f->length) REQUIRE(!*at++);
         n_samples += s->block;
         return;
@@ -697,7 +690,7 @@ static void begin_can(void)
     if (!can) can = malloc(sizeof *can);
     bus.extended = (uint8_t)below(2);
     REQUIRE(!hbp_can_init(can, &bus));
-    begin(below(4) ? HBP_FEATURE_EDGES : 0);
+    begin(below(4) ? HBP_FEATURE_EDGES | HBP_FEATURE_MEANS : 0);
 }
 
 /* ------------------------------------------------------------------------------------------------------------------------- */

@@ -33,13 +33,13 @@ def test_compiles_with_other_options(tmp_path: Path, name: str, bits: str, value
     compile_all(tmp_path, name, "-std=c99", bits, "-O1", *options(values))
 
 
-@pytest.mark.parametrize("values", [{"CAPTURE": 0}, {"WAVEFORM": 0}, {"PORTABLE": 1}])
+@pytest.mark.parametrize("values", [{"CAPTURE": 0}, {"WAVEFORM": 0}, {"MEANS": 1}, {"MEANS": 1, "PORTABLE": 1}])
 def test_compiles_without_what_is_optional(tmp_path: Path, values: dict[str, int]) -> None:
     compile_all(tmp_path, "gcc", "-std=c99", "-O1", *options(values))
 
 
 def test_options_that_cannot_be_do_not_compile(tmp_path: Path) -> None:
-    for wrong in ("TX_BYTES=1000", "RX_MAX=127", "EDGES=12", "CHANNELS=500", "POOL_BYTES=500", "CAPTURE=2"):
+    for wrong in ("TX_BYTES=1000", "RX_MAX=127", "EDGES=12", "CHANNELS=500", "POOL_BYTES=500", "CAPTURE=2", "MEANS=2"):
         with pytest.raises(AssertionError, match="hbp_check_"):
             run(compiler("gcc"), "-std=c99", "-fsyntax-only", f"-DHBP_{wrong}", SOURCE / "hbp.c")
 

@@ -17,9 +17,12 @@ AS_IN_VECTORS = {
     "RX_MAX": 1024, "TX_MAX": 1024, "TX_BYTES": 8192, "POOL_BYTES": 4096, "CAN_BYTES": 64, "CAN_MESSAGES": 512,
 }  # fmt: skip
 MANY_CHANNELS = {"HOSTS": 2, "CHANNELS": 60}
+WITH_MEANS = MANY_CHANNELS | {"MEANS": 1}
 SHAPES = [
     pytest.param("gcc", MANY_CHANNELS, "byte", 20_000, id="gcc, byte link"),
     pytest.param("gcc", MANY_CHANNELS, "can", 20_000, id="gcc, CAN"),
+    pytest.param("clang", WITH_MEANS, "byte", 20_000, id="clang, byte link, means"),
+    pytest.param("gcc", WITH_MEANS, "byte", 300_000, id="means, long", marks=pytest.mark.campaign("c")),
     pytest.param("gcc", MANY_CHANNELS, "byte", 300_000, id="gcc, byte link, long", marks=pytest.mark.campaign("c")),
     pytest.param("gcc", MANY_CHANNELS, "can", 500_000, id="gcc, CAN, long", marks=pytest.mark.campaign("c")),
     pytest.param("clang", SMALL, "byte", 100_000, id="clang, byte link, small", marks=pytest.mark.campaign("c")),
@@ -91,7 +94,7 @@ def test_any_frames(built: Callable[..., Path], name: str, values: dict[str, int
 
 
 def test_frames_for_a_32_bit_core(built: Callable[..., Path]) -> None:
-    program = built("gcc", "fuzz.c", "-m32", "-O2")
+    program = built("gcc", "fuzz.c", "-m32", "-O2", "-DHBP_MEANS=1")
     for link in ("byte", "can"):
         run(program, link, "10000", "2")
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from small_drive import SmallDrive, identity, pack_edges, samples
 
+from protocol.canmap.compiled import CompiledCan
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.canmap.host import CanWire
@@ -25,14 +26,22 @@ Spoil = Callable[[np.ndarray], np.ndarray]
 
 
 class CanPair:
-    """`now` is both ends' time in s; what spoils a run gets the rows of CAN_RECORDs on their way to the host."""
+    """`now` is both ends' time in s; what spoils a run gets the rows of CAN_RECORDs on their way to the host.
+
+    `in_c`: the device side is that in C, which has queues of its own.
+    """
 
     def __init__(
         self, rates: BusRates, extended: bool = False, node: int = 1, tx: TxQueue | None = None,
-        boot_id: int = 0xB0071D, **changes: object,
+        boot_id: int = 0xB0071D, in_c: bool = False, **changes: object,
     ) -> None:  # fmt: skip
         self.app = SmallDrive()
-        self.device = CanDevice(self.app, identity(node, boot_id, **changes), rates, extended, tx)
+        told = identity(node, boot_id, **changes)
+        self.device: CanDevice | CompiledCan
+        if in_c:
+            self.device = CompiledCan(self.app, told, rates, extended)
+        else:
+            self.device = CanDevice(self.app, told, rates, extended, tx)
         self.wire = CanWire(rates, node, extended)
         self.host = HostSession(self.wire)
         self.now = 0.0
@@ -43,7 +52,7 @@ class CanPair:
         self.events: list[Event] = []
         self.decoders: dict[int, object] = {}
         self.chunks: dict[int, list[SampleChunk | EdgeChunk]] = {}
-        self.device.session.advance(0)
+        self.device.advance(0)
 
     # -- the bus ----------------------------------------------------------------------------------------------------
 
@@ -52,7 +61,7 @@ class CanPair:
         sent = self.host.data_to_send()
         self.to_device.append(np.frombuffer(sent, CAN_RECORD))
         self.device.receive(sent)
-        self.receive(np.frombuffer(self.device.tx.take(), CAN_RECORD))
+        self.receive(np.frombuffer(b"".join(iter(self.device.take, b"")), CAN_RECORD))
 
     def receive(self, records: np.ndarray) -> None:
         records = self._spoil(records).copy()

@@ -11,12 +11,14 @@ from small_drive import CHANNELS, samples
 from protocol.canmap.frame import BusRates
 from protocol.messages import Feature, StreamEvent
 from protocol.streams import SampleChunk
+from tests.tools import needs
 
 
+@pytest.mark.parametrize("side", ["python", pytest.param("c", marks=needs("C compiler"))])
 @pytest.mark.parametrize("rates", [CLASSIC, FD])
 @pytest.mark.parametrize("names", [("i_a",), ("theta", "i_a", "count")])
-def test_means_on_can(rates: BusRates, names: tuple[str, ...]) -> None:
-    bus = CanPair(rates, features=Feature.MEANS | Feature.EDGES)
+def test_means_on_can(rates: BusRates, names: tuple[str, ...], side: str) -> None:
+    bus = CanPair(rates, in_c=side == "c", features=Feature.MEANS | Feature.EDGES)
     bus.connect()
     bus.stream(names, 16, event=StreamEvent.MEAN)
     bus.run(1600)
