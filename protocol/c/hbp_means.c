@@ -128,11 +128,12 @@ static void add_real(struct hbp_mean *mean, double value, int is_first)
     mean->total.real += mean->turn > 0.0 ? around_zero(value - mean->first.real, mean->turn) : value;
 }
 
-static float real_mean(const struct hbp_mean *mean, double share)
+static float real_mean(const struct hbp_mean *mean, uint16_t n)
 {
+    double value = mean->total.real / n;
     float nearest;
-    if (!(mean->turn > 0.0)) return (float)(mean->total.real * share);
-    nearest = (float)around_zero(mean->first.real + mean->total.real * share, mean->turn);
+    if (!(mean->turn > 0.0)) return (float)value;
+    nearest = (float)around_zero(mean->first.real + value, mean->turn);
     return nearest >= (float)(mean->turn / 2.0) ? nearest - (float)mean->turn : nearest;
 }
 
@@ -161,14 +162,13 @@ void hbp_means_add(const struct hbp *h, struct hbp_stream *s, const uint8_t *sam
 
 void hbp_means_put(const struct hbp *h, const struct hbp_stream *s, const uint8_t *sample, uint8_t *to)
 {
-    double share = 1.0 / s->decimation;
     for (uint32_t k = 0; k < s->channels; k++) {
         const struct hbp_channel *channel = &h->config->channels[s->take[k]];
         const struct hbp_mean *mean = &s->means[k];
         uint32_t bits;
         float value;
         if (channel->unit == HBP_UNIT_NONE) value = is_real(channel) ? (float)real_of(channel, sample) : (float)whole_of(channel, sample);
-        else value = is_real(channel) ? real_mean(mean, share) : whole_mean(mean, channel, s->decimation);
+        else value = is_real(channel) ? real_mean(mean, s->decimation) : whole_mean(mean, channel, s->decimation);
         memcpy(&bits, &value, sizeof bits);
         to = hbp_put32(to, bits);
     }

@@ -174,6 +174,46 @@ static void capture(void)
     measure(NULL, HBP_TYPE_CAPTURE_ARM, off, sizeof off);
 }
 
+#if HBP_MEANS
+/* The interrupt while means over 20 periods are streamed. */
+static void means(const struct hbp_channel *table, uint16_t channels, const void *sample, const char *adds, const char *ends)
+{
+    uint8_t set_means[24] = {0, HBP_STREAM_MEAN, 20, 0, 100, 0, (uint8_t)channels};
+    for (unsigned k = 0; k < channels; k++) set_means[8 + 2 * k] = (uint8_t)table[k].id;
+    bare = motor_config;
+    bare.capture = NULL;
+    bare.features |= HBP_FEATURE_MEANS;
+    bare.channels = table;
+    bare.n_channels = channels;
+    hbp_link_init(&link, 1e6f);
+    if (hbp_add(&link, &drive, &bare, 1)) return;
+    measure(NULL, HBP_TYPE_STREAM_SET, set_means, 8u + 2u * channels);
+    measure(NULL, HBP_TYPE_STREAM_START, first, 4);
+    hbp_tick(&drive, sample);
+    for (unsigned of = 0; of < 2; of++) { /* those with a record, the others */
+        for (unsigned k = 0; k < 200; k++) {
+            int ended = drive.index % 20u == 0;
+            if (ended == (of == 0)) COUNT(hbp_tick(&drive, sample));
+            else hbp_tick(&drive, sample);
+            hbp_poll(&link, now += MOTOR_PERIOD);
+            drain();
+        }
+        report(of ? adds : ends);
+    }
+}
+
+static void all_means(void)
+{
+    static const struct hbp_channel real[1] = {{1, HBP_RAW_F32, HBP_UNIT_A, 0, 0, 1.0f, 0.0f, "i_q"}};
+    static const struct sample sample = {
+        .hall = 5, .theta_enc = -30000, .omega_enc = 1234, .i_q = 2047, .omega_ref = 1200, .theta_avg = 31000, .omega_avg = 7,
+    };
+    static const float current = 3.7f;
+    means(motor_config.channels, 8, &sample, "hbp_tick, means of 8 channels", "hbp_tick, means of 8 channels, with a record");
+    means(real, 1, &current, "hbp_tick, means of an f32", "hbp_tick, means of an f32, with a record");
+}
+#endif
+
 static void byte_link(void)
 {
     struct sample sample = {0};
@@ -283,9 +323,13 @@ int main(void)
     for (unsigned k = 0; k < 10; k++) COUNT((void)0);
     empty = most;
     calls = total = most = 0;
+#if HBP_MEANS
+    all_means();
+#else
     byte_link();
     can_link();
     capture();
+#endif
     host(0x20, end);
     host(0x18, (const void *)0x20026u);
     return 0;

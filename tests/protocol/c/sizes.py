@@ -24,7 +24,7 @@ BEGIN, END = "<!-- sizes -->\n", "<!-- end -->"
 COMPILER = "arm-none-eabi-gcc"
 CORE = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c99")
 FLAGS = (*CORE, "-Os", "-ffunction-sections", "-fdata-sections", "-DHBP_CHANNELS=8")
-FILES = [SOURCE / "hbp.c", SOURCE / "hbp_capture.c"]
+FILES = [SOURCE / "hbp.c", SOURCE / "hbp_capture.c", SOURCE / "hbp_means.c"]
 LIMIT = 60.0  # s, for QEMU
 
 COMMON = ("hbp_tick", "hbp_edge", "hbp_may_run", "hbp_raise", "hbp_fault", "hbp_log")
@@ -71,10 +71,10 @@ def _structures(folder: Path, flags: tuple[str, ...]) -> dict[str, int]:
     return {name: int(size, 16) for size, name in re.findall(r"^\w+ (\w+) \w (\w+)$", symbols, re.M)}
 
 
-def cost(what: str, can: bool, capture: bool, waveform: bool) -> Cost:
+def cost(what: str, can: bool, capture: bool, waveform: bool, means: bool = False) -> Cost:
     """Of a byte link, or of a classic CAN bus, compiled for size with 8 channels and otherwise as hbp.h is."""
     files = [*FILES, *([SOURCE / "hbp_can.c"] if can else [])]
-    flags = (*FLAGS, f"-DHBP_CAPTURE={capture:d}", f"-DHBP_WAVEFORM={waveform:d}")
+    flags = (*FLAGS, f"-DHBP_CAPTURE={capture:d}", f"-DHBP_WAVEFORM={waveform:d}", f"-DHBP_MEANS={means:d}")
     keep = CAN if can else BYTES
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -91,11 +91,15 @@ def cost(what: str, can: bool, capture: bool, waveform: bool) -> Cost:
 
 def instructions() -> list[tuple[str, int, int]]:
     """Name, mean and most of some calls, counted on QEMU's Cortex-M4F; each time the same."""
+    return _counted() + _counted("-DHBP_MEANS=1")
+
+
+def _counted(*flags: str) -> list[tuple[str, int, int]]:
     with tempfile.TemporaryDirectory() as name:
         elf = Path(name, "cost.elf")
         files = (Path(__file__).with_name("cost.c"), BOARD / "start.c", *FILES, SOURCE / "hbp_can.c")
         link = ("-nostartfiles", "-specs=nano.specs", "-T", str(BOARD / "mps2.ld"), "-Wl,--gc-sections")
-        _run(COMPILER, *FLAGS, *link, *files, "-o", elf)
+        _run(COMPILER, *FLAGS, *flags, *link, *files, "-o", elf)
         command = ["qemu-system-arm", "-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "null"]
         command += ["-semihosting-config", "enable=on,target=native", "-icount", "shift=10,sleep=off"]
         command += ["-kernel", str(elf)]
@@ -140,6 +144,7 @@ def costs() -> list[Cost]:
         cost(f"classic CAN with captures: hbp.c{with_can}{with_capture}", True, True, False),
         cost("byte link with captures and a waveform, as hbp.h is", False, True, True),
         cost("classic CAN with captures and a waveform", True, True, True),
+        cost("byte link with captures, a waveform and means (HBP_MEANS=1): hbp_means.c, too", False, True, True, True),
     ]
 
 
