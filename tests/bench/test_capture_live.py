@@ -123,7 +123,7 @@ class Rival(TrippingLink):
     def write(self, data: bytes) -> None:
         super().write(data)
         if self.tripped and len(self.read_parts) == 3:
-            self.device.drive.capture.arm(CaptureArm(CaptureTrigger.OFF))
+            self.device.drive.capture.arm(CaptureArm(CaptureTrigger.OFF), 512)
 
     @property
     def read_parts(self) -> list[int]:

@@ -94,7 +94,7 @@ def test_what_the_checks_of_faults_have_frozen_is_given_up() -> None:
 def test_a_capture_that_is_held_is_left_for_whoever_wants_to_read_it() -> None:
     device = simulated()
     capture = device.drive.capture
-    capture.arm(CaptureArm(CaptureTrigger.NOW, after=20, channels=(device.drive.app.channels[0].id,)))
+    capture.arm(CaptureArm(CaptureTrigger.NOW, after=20, channels=(device.drive.app.channels[0].id,)), 512)
     device.advance(200)
     assert capture.state == CaptureState.FROZEN
     number, blob = capture.number, capture.blob
