@@ -315,11 +315,13 @@ static uint16_t enter(struct hbp *h, uint8_t state)
 void hbp_fault(struct hbp *h, uint32_t faults)
 {
     uint32_t fresh = faults & FAULT_MASK & ~h->faults;
+    float detail = h->detail; /* of a request that the application may be refusing */
     if (!fresh) return;
     if (!h->faults) h->first_fault = fresh;
     h->faults |= fresh;
     ask_capture(h, HBP_TRIGGER_FAULT);
     if (h->state != HBP_STATE_FAULT) enter(h, HBP_STATE_FAULT);
+    h->detail = detail;
     hbp_event(h, HBP_EVENT_FAULT, (float)fresh, 0.0f);
 }
 

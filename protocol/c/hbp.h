@@ -99,8 +99,8 @@
  * TIME OF THE INTERRUPTS.  hbp_tick copies the chosen channels of each running stream: on a Cortex-M4, compiled for size, 47 instructions, 45
  * for each running stream of samples and 17 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 53,
  * hbp_may_run 16 and hbp_raise 22. While a capture waits hbp_tick takes 40 more, and the copying of its record, and hbp_edge 101. CRC and
- * COBS are the main loop's. Means (HBP_MEANS) take 55 for each channel of whole numbers and 130 for each f32, and in the period of a record 290
- * and 640. `python -m tests.protocol.c.sizes` measures them.
+ * COBS are the main loop's. Means (HBP_MEANS) take 55 for each channel of whole numbers and 130 for each f32, in the period of a record
+ * 290 and 640. `python -m tests.protocol.c.sizes` measures them.
  *
  * WHAT IS LOST IS COUNTED.  Samples wait in blocks, one being filled by the interrupt, until the transmit queue has room. A block that
  * finds no free place is dropped whole, and counted: `tx_dropped`, the gap in `seq`, OVERRUN.
