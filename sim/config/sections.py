@@ -15,6 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, AngleSource, Flag, Parameter
 from sim.config.errors import explain
+from sim.config.saturation import least_i_cross
 
 T = TypeVar("T")
 Two = Annotated[tuple[T, ...], Field(strict=False, min_length=2, max_length=2, description="a list of 2 numbers")]
@@ -99,6 +100,31 @@ class Motor(Section):
     emf_harmonics: Four[Annotated[float, _number(ge=-0.5, le=0.5)]]
     cogging: Two[Annotated[float, _number("N m", ge=-10, le=10)]]
     i_sat: float = _number("A", ge=0)
+    i_cross: float = _number("A", ge=0)
+    iron_hysteresis: float = _number("N m", ge=0)
+    iron_eddy: float = _number("N m s/rad", ge=0)
+    skin_R: float = _number("ohm", ge=0)
+    skin_hz: float = _number("Hz", ge=10, le=1e5)
+
+    @property
+    def L_skin(self) -> float:
+        """The inductance that quick currents do not see, H."""
+        return self.skin_R / (2.0 * math.pi * self.skin_hz)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        most = 0.5 * min(self.L_d, self.L_q)
+        if self.L_skin > most:
+            raise ValueError(
+                f"skin_R must be <= {2.0 * math.pi * self.skin_hz * most:.3g} ohm at skin_hz = {self.skin_hz:g} Hz, "
+                f"where half of the inductance is gone, got {self.skin_R:g}"
+            )
+        if self.i_cross and self.i_cross < (least := least_i_cross(self.L_d, self.L_q, self.psi_f, self.i_max)):
+            raise ValueError(
+                f"i_cross must be >= {least:.3g} A, or 0 for none: below, a current of twice i_max has no one flux; "
+                f"got {self.i_cross:g}"
+            )
+        return self
 
 
 class Mechanics(Section):
@@ -107,6 +133,8 @@ class Mechanics(Section):
     J: float = _number("kg m2", gt=0)
     b: float = _number("N m s/rad", ge=0)
     tau_coulomb: float = _number("N m", ge=0)
+    stribeck: float = _number("N m", ge=0)
+    omega_stribeck: float = _number("rad/s", ge=0.01, le=1e3)
     theta_0_deg: float = _number("deg", ge=-360, le=360)
 
 
@@ -147,6 +175,7 @@ class DcLink(Section):
     regenerates: Whole = _number(ge=0, le=1)
     u_brake: float = _number("V", ge=0, le=63.9)
     R_brake: float = _number("ohm", ge=0.1, le=1e3)
+    i_limit: float = _number("A", ge=0)
 
 
 class Load(Section):
@@ -241,11 +270,28 @@ class ShaftFaults(Section):
     rock_hz: float = _number("Hz", ge=0.1, le=100)
 
 
+class MotorFaults(Section):
+    """What is wrong with the wires of the motor."""
+
+    open: Whole = _number(ge=0, le=7)
+    swap: Whole = _number(ge=0, le=5)
+    short: Whole = _number(ge=0, le=3)
+    short_R: float = _number("ohm", ge=1e-3, le=1e3)
+    short_L: float = _number("H", ge=1e-7, le=1e-2)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.short and self.open:
+            raise ValueError(f"open must be 0 where short = {self.short}, got {self.open}")
+        return self
+
+
 class EncoderFaults(Section):
     """What is wrong with the encoder."""
 
     slip_deg: float = _number("deg", ge=-360, le=360)
     slip_at: float = _number("s", ge=0)
+    slip_alpha: float = _number("rad/s2", ge=0)
     lost_per_rev: float = _number(ge=-1000, le=1000)
     pulses_hat: Whole = _number(ge=0, le=16383)
     reversed: Whole = _number(ge=0, le=1)
@@ -259,6 +305,7 @@ class Faults(Section):
     hall: HallFaults
     magnets: MagnetFaults
     shaft: ShaftFaults
+    motor: MotorFaults
     encoder: EncoderFaults
 
     @model_validator(mode="after")
@@ -278,7 +325,8 @@ FAULTS = {
     ),
     "magnets": ("pole_pair_off_deg", "eccentricity_deg"),
     "shaft": ("rock_deg",),
-    "encoder": ("slip_deg", "lost_per_rev", "pulses_hat", "reversed"),
+    "motor": ("open", "swap", "short"),
+    "encoder": ("slip_deg", "slip_alpha", "lost_per_rev", "pulses_hat", "reversed"),
 }  # fmt: skip
 """Keys of the sections of [faults] that say how large a fault is, zero: none; the others say of what kind."""
 
@@ -321,6 +369,12 @@ class CurrentSensor(Section):
     range: float = _number("A", ge=0.1, le=1000)
     bits: Whole = _number(ge=4, le=24)
     delay: float = _number("s", ge=0, le=2e-5)
+
+
+class LinkSensor(Section):
+    """Measurement of the DC link voltage."""
+
+    gain_error: float = _number(ge=-0.5, le=0.5)
 
 
 class Clock(Section):
@@ -489,6 +543,7 @@ class BenchParams(Section):
     dc_link: DcLink
     inverter: Inverter
     current_sensor: CurrentSensor
+    link_sensor: LinkSensor
     clock: Clock
     memory: Memory
     firmware: Firmware
@@ -497,13 +552,15 @@ class BenchParams(Section):
     def _fits(self) -> Self:
         h = 1.0 / (self.clock.pwm_hz * self.clock.substeps)
         motor, inverter = self.motor, self.inverter
+        L, R = min(motor.L_d, motor.L_q) - motor.L_skin, motor.R_s + motor.skin_R
+        friction = self.mechanics.b + motor.iron_eddy + self.mechanics.stribeck / self.mechanics.omega_stribeck
         lost = inverter.u_dc * inverter.dead_time * self.clock.pwm_hz + inverter.u_device
         # the integrator's iteration ends up to four of the last of these time constants, and is good up to about one
         for name, value, least, unit in (
-            ("motor.L_d", motor.L_d, motor.R_s * h, "H"),
-            ("motor.L_q", motor.L_q, motor.R_s * h, "H"),
-            ("mechanics.J", self.mechanics.J, self.mechanics.b * h, "kg m2"),
-            ("inverter.i_smooth", inverter.i_smooth, lost * h / min(motor.L_d, motor.L_q) / 2.0, "A"),
+            ("motor.L_d", motor.L_d, R * h + motor.L_skin, "H"),
+            ("motor.L_q", motor.L_q, R * h + motor.L_skin, "H"),
+            ("mechanics.J", self.mechanics.J, friction * h, "kg m2"),
+            ("inverter.i_smooth", inverter.i_smooth, lost * h / L / 2.0, "A"),
         ):
             if value < least:
                 raise ValueError(
@@ -526,6 +583,8 @@ class BenchParams(Section):
                     f"got {coupling.damping:g}; take more clock.substeps"
                 )
         link = self.dc_link
+        if link.i_limit and not link.R_source:
+            raise ValueError(f"dc_link.i_limit must be 0 where dc_link.R_source = 0, got {link.i_limit:g}")
         if link.R_source and link.u_brake and link.u_brake <= inverter.u_dc:
             raise ValueError(f"dc_link.u_brake must be > inverter.u_dc = {inverter.u_dc:g} V, got {link.u_brake:g}")
         magnets, n_p = self.faults.magnets, motor.n_p

@@ -26,7 +26,9 @@ from sim.plant import (
     integrator,
     inverter,
     mechanics,
+    motor_wires,
     pmsm,
+    skin_effect,
     warming,
 )
 
@@ -49,15 +51,24 @@ def of_bench(
     )
     shaft_encoder = encoder.make_faulty(shaft_encoder, **p.faults.encoder.model_dump(exclude={"slip_at"}))
     motor = of_motor(p)
+    h = period / p.clock.substeps
+    broken = p.faults.motor
+    wires = motor_wires.make_params(**broken.model_dump(exclude={"open"}))
     J = p.mechanics.J * (1.0 - p.coupling.load_share) if p.coupling.stiffness else p.mechanics.J
     return tick.Params(
         integrator.Params(
             motor,
             inverter.make_params(**dict(p.inverter), T_s=period),
-            mechanics.make_params(J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
-            *integrator.decays(motor, period / p.clock.substeps),
+            of_shaft(p, J),
+            *integrator.decays(motor, h),
+            motor_wires.open_phase(broken.open, broken.swap),
+            (broken.short + 1) % 3 + 1 if broken.short else 0,
+            wires.R,
         ),
+        skin_effect.make_params(p.motor.skin_R, p.motor.skin_hz, h),
+        wires,
         dc_link.make_params(p.inverter.u_dc, **dict(p.dc_link), T_s=period),
+        1.0 + p.link_sensor.gain_error,
         coupling.make_params(**dict(p.coupling), J=p.mechanics.J, **_some(dict(p.load), "tau_max", "alpha_m_max")),
         of_hall(p),
         hall_input.make_params(p.clock.tick_hz, p.motor.i_max, of_hall_input(p)),
@@ -86,8 +97,15 @@ def of_bench(
         ),
         p.clock.period_ticks,
         p.clock.substeps,
-        period / p.clock.substeps,
+        h,
     )
+
+
+def of_shaft(p: BenchParams, J: float) -> mechanics.Params:
+    """The shaft's constants, with this inertia (kg m2); the iron's losses are those at the flux of a cold magnet."""
+    iron = p.motor.iron_hysteresis / p.motor.psi_f**2, p.motor.iron_eddy / p.motor.psi_f**2
+    shaft = p.mechanics.model_dump(exclude={"J", "theta_0_deg"})
+    return mechanics.make_params(J, **shaft, alpha_m_max=p.load.alpha_m_max, iron=iron)
 
 
 def of_hall(p: BenchParams, warmer: float = 0.0) -> hall_sensor.Params:
@@ -105,8 +123,12 @@ def of_hall_input(p: BenchParams) -> hall_input.Settings:
 
 def of_motor(p: BenchParams, now: warming.Factors = warming.COLD) -> pmsm.Params:
     """The motor's constants, as warm as it is."""
-    warm = {"R_s": now.R_s * p.motor.R_s, "psi_f": now.psi_f * p.motor.psi_f}
-    return pmsm.make_params(**(p.motor.model_dump(exclude={"i_max"}) | warm))
+    own = p.motor
+    L_skin = skin_effect.inductance(own.skin_R, own.skin_hz)
+    figures = own.model_dump(exclude={"i_max", "i_cross", "iron_hysteresis", "iron_eddy", "skin_R", "skin_hz"})
+    figures |= {"R_s": now.R_s * own.R_s + own.skin_R, "psi_f": now.psi_f * own.psi_f}
+    figures |= {"L_d": own.L_d - L_skin, "L_q": own.L_q - L_skin}
+    return pmsm.with_crossing(pmsm.make_params(**figures), own.i_cross)
 
 
 def _protection(p: BenchParams, drive: Mapping[str, float]) -> protection.Params:

@@ -394,7 +394,8 @@ class SimulatedBench:
             alpha, beta = (self._sections.column(block, n, name)[begin:end] for name in ("i_alpha_true", "i_beta_true"))
             self._squares.append(alpha**2 + beta**2)
             if self.n % warming.EVERY == 0:
-                self._warming.heat(self._constants.plant.motor, float(np.concatenate(self._squares).mean()))
+                R_s = self._constants.plant.motor.R_s - self._constants.skin.R
+                self._warming.heat(R_s, float(np.concatenate(self._squares).mean()))
                 self._squares.clear()
                 self._warm()
 

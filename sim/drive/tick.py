@@ -25,7 +25,7 @@ from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, AngleSource, Eig
 from sim.drive import tick_firmware
 from sim.drive import tick_protection as protection
 from sim.drive.tick_record import edge_codes, quantised_three, quantised_u16
-from sim.hints import ahead
+from sim.hints import ahead, seldom
 from sim.native import Native, Pointer, invoke, native, specialised
 from sim.numba_cache import kernel
 from sim.observers import hall_speed, sample
@@ -42,8 +42,10 @@ from sim.plant import (
     integrator,
     inverter,
     mechanics,
+    motor_wires,
     noise,
     pmsm,
+    skin_effect,
 )
 
 ENCODER, AVERAGE_SPEED = int(AngleSource.ENCODER), int(AngleSource.AVERAGE_SPEED)
@@ -59,7 +61,10 @@ class Params(NamedTuple):
     """Constants of the bench."""
 
     plant: integrator.Params
+    skin: skin_effect.Params
+    motor_wires: motor_wires.Params
     link: dc_link.Params
+    link_gain: float  # of the measurement of the link's voltage
     coupling: coupling.Params
     hall: hall_sensor.Params
     input: hall_input.Params
@@ -90,6 +95,8 @@ class World(NamedTuple):
 
     rng: np.uint64
     plant: integrator.State
+    skin: skin_effect.State
+    short: float  # A, between two of the motor's terminals
     electric: Electric
     link: dc_link.State
     beyond: coupling.State  # the load's side of the shaft
@@ -108,6 +115,7 @@ class State(NamedTuple):
     front: sample.State
     encoder: encoder.State
     counter: encoder.Index
+    disc: encoder.Disc
     firmware: tick_firmware.State
 
 
@@ -200,11 +208,12 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
     wiring = hall_wiring.init(params.wiring, hall_sensor.code(hall.number))
     plant = integrator.init(params.plant, theta_e)
     link = dc_link.init(params.link)
-    world = World(rng, plant, Electric(0.0, 0.0, 0.0), link, coupling.init(), 0.0, hall, NEVER, wiring)
+    electric = Electric(0.0, 0.0, 0.0)
+    world = World(rng, plant, skin_effect.init(), 0.0, electric, link, coupling.init(), 0.0, hall, NEVER, wiring)
     count = encoder.count(params.encoder, theta_e, 0.0)
     index = encoder.booted(params.encoder, count, params.index_search)
     tracker = encoder.init(encoder.counted(params.encoder, index, count))
-    return State(0, state.tick, world, sample.init(), tracker, index, tick_firmware.init())
+    return State(0, state.tick, world, sample.init(), tracker, index, encoder.Disc(0.0, 0.0), tick_firmware.init())
 
 
 @kernel
@@ -327,13 +336,21 @@ def _move(
 ) -> tuple[World, int]:
     """The world after one period, with its edges; the sensors' random numbers are drawn at its end."""
     plant, first, link, beyond = world.plant, world.electric, world.link, world.beyond
+    skin, short, in_short = world.skin, world.short, 0.0
     constants = params.plant
     if params.link.R_source > 0.0:
         constants = integrator.fed(constants, link.u)
     if out.on == 1:
-        applied = integrator.apply(constants, plant, first.i_alpha, first.i_beta, out.d_a, out.d_b, out.d_c)
+        d_a, d_b, d_c = motor_wires.to_phases(params.motor_wires.swap, (out.d_a, out.d_b, out.d_c))
+        applied = integrator.apply(constants, plant, first.i_alpha, first.i_beta, d_a, d_b, d_c)
     else:
         applied = inverter.off()
+    by_duties = applied
+    if seldom(params.motor_wires.short != 0):
+        short, applied = motor_wires.shorted(
+            params.motor_wires, constants.inverter, by_duties, first.i_alpha, first.i_beta, world.short
+        )
+        in_short = motor_wires.taken(params.motor_wires, constants.inverter, by_duties, 0.5 * (world.short + short))
     alpha = 0.0
     begin = state.tick - params.period_ticks
     if params.wiring.gap > 0.0 or world.wiring.due != NEVER:
@@ -357,7 +374,10 @@ def _move(
         acts = load
         if coupled:
             beyond, acts = coupling.middle(params.coupling, before, beyond, params.h)
-        plant, alpha = integrator.step(constants, before, applied, acts, params.h)
+        if seldom(params.skin.R > 0.0):
+            skin, plant, alpha = skin_effect.step(params.skin, skin, constants, before, applied, acts, params.h)
+        else:
+            plant, alpha = integrator.step(constants, before, applied, acts, params.h)
         if coupled:
             beyond = coupling.end(params.coupling, beyond, plant, load, params.h)
             alpha = 0.0
@@ -372,8 +392,9 @@ def _move(
     if params.link.R_source > 0.0:
         i_alpha = 0.5 * (first.i_alpha + last.i_alpha)
         i_beta = 0.5 * (first.i_beta + last.i_beta)
-        link = dc_link.step(params.link, link, inverter.taken(constants.inverter, applied, i_alpha, i_beta))
-    world = world._replace(plant=plant, electric=last, link=link, beyond=beyond, alpha_m=alpha)
+        taken = inverter.taken(constants.inverter, by_duties, i_alpha, i_beta) + in_short
+        link = dc_link.step(params.link, link, taken)
+    world = world._replace(plant=plant, skin=skin, short=short, electric=last, link=link, beyond=beyond, alpha_m=alpha)
     return world._replace(rng=noise.advance(world.rng)), m
 
 
@@ -394,10 +415,18 @@ def _sense(params: Params, world: World, on: int, quantiles: Pointer[float]) -> 
     if on == 1 and sensor.delay > 0.0:
         motor = params.plant.motor
         emf = motor.n_p * plant.omega_m * motor.psi_f
-        i_alpha -= sensor.delay * motor.g_mean * (motor.R_s * i_alpha - emf * plant.sin)
-        i_beta -= sensor.delay * motor.g_mean * (motor.R_s * i_beta + emf * plant.cos)
+        u_alpha = motor.R_s * i_alpha
+        u_beta = motor.R_s * i_beta
+        if seldom(params.skin.R > 0.0):
+            u_alpha -= params.skin.R * world.skin.i_alpha
+            u_beta -= params.skin.R * world.skin.i_beta
+        i_alpha -= sensor.delay * motor.g_mean * (u_alpha - emf * plant.sin)
+        i_beta -= sensor.delay * motor.g_mean * (u_beta + emf * plant.cos)
     normal = noise.first(quantiles, rng), noise.second(quantiles, rng), noise.third(quantiles, rng)
-    measured = current_sensor.measure(sensor, pmsm.phases(i_alpha, i_beta), normal)
+    currents = pmsm.phases(i_alpha, i_beta)
+    if seldom(params.motor_wires.short != 0):
+        currents = motor_wires.with_short(params.motor_wires, currents, world.short)
+    measured = current_sensor.measure(sensor, motor_wires.to_legs(params.motor_wires.swap, currents), normal)
     i_a, i_b, i_c = quantised_three(measured, params.firmware.ampere, params.firmware.per_ampere)
     count = encoder.count(params.encoder, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
     return Sensed(count, i_a, i_b, i_c)
@@ -424,16 +453,23 @@ def usual(params: Params) -> Params:
     firmware = params.firmware
     return params._replace(
         plant=plant._replace(
-            motor=plant.motor._replace(g_diff=0.0, uneven=0), inverter=plant.inverter._replace(legs=legs)
+            motor=plant.motor._replace(g_diff=0.0, cross=0.0, uneven=0),
+            inverter=plant.inverter._replace(legs=legs),
+            shaft=plant.shaft._replace(varies=0),
+            open=0,
+            tied=0,
         ),
+        skin=params.skin._replace(R=0.0),
+        motor_wires=params.motor_wires._replace(swap=0, short=0),
         link=params.link._replace(R_source=0.0),
+        link_gain=1.0,
         coupling=params.coupling._replace(stiffness=0.0),
         hall=params.hall._replace(spread=0.0, latency=0.0, pole_pair_off=0.0, eccentric=0.0),
         input=params.input._replace(on=0),
         wiring=params.wiring._replace(swap=0, gap=0.0),
         rock=params.rock._replace(speed=0.0),
         current_sensor=params.current_sensor._replace(delay=0.0),
-        encoder=params.encoder._replace(eccentric=0.0, within=0.0, latency=0.0, lost=0.0),
+        encoder=params.encoder._replace(eccentric=0.0, within=0.0, latency=0.0, lost=0.0, grip=0.0),
         firmware=firmware._replace(
             dead_time=firmware.dead_time._replace(learn=0), commission=firmware.commission._replace(on=0)
         ),
@@ -473,7 +509,8 @@ def _advance(
 
     The first period of all only takes a sample: nothing has moved yet.
     """
-    params = known(params_[0])
+    constants = known(params_[0])
+    params = constants
     state = state_[0]
     command = command_[0]
     motor = params.plant.motor
@@ -482,7 +519,7 @@ def _advance(
     firmware = state.firmware
     if command.drive.state != tick_firmware.RUNNING or firmware.faults != 0:
         firmware = tick_firmware.silenced(firmware)
-    u_dc = quantised_u16(params.plant.inverter.u_dc)
+    u_dc = quantised_u16(params.link_gain * params.plant.inverter.u_dc)
     m = count[0]
     log = EdgeLog(edges, wire, room)
     for j in range(n):
@@ -493,6 +530,8 @@ def _advance(
         ahead(steered, j + AHEAD)
         ahead(samples, j + AHEAD)
         world = state.world
+        params = constants._replace(encoder=encoder.slipped(constants.encoder, state.disc, motor.n_p))
+        disc = state.disc
         if k > 0:
             if j == 0 or k == 1:  # a code that changes with the wires is an edge as the period begins
                 plant, wiring = world.plant, world.wiring
@@ -506,15 +545,18 @@ def _advance(
                 wiring, m = _captured(params, wiring, state.counter, pins, begin, plant.theta_e, omega, log, m)
                 world = world._replace(wiring=wiring)
             world, m = _move(params, state, world, firmware.driving.now, command.load, log, m, inputs, quantiles)
+            disc = encoder.dragged(params.encoder, disc, state.world.plant.omega_m, world.plant.omega_m)
+            params = constants._replace(encoder=encoder.slipped(constants.encoder, disc, motor.n_p))
             if params.link.R_source > 0.0:
-                u_dc = quantised_u16(world.link.u)
+                u_dc = quantised_u16(params.link_gain * world.link.u)
         else:
             world = world._replace(rng=noise.advance(world.rng))
 
         plant, electric, code = world.plant, world.electric, params.hall_map[world.wiring.pins]
         tau = world.beyond.tau
         if params.coupling.stiffness == 0.0:
-            tau = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, electric.tau, world.alpha_m)
+            shaft = integrator.losing_shaft(params.plant.shaft, plant)
+            tau = mechanics.load_torque(shaft, command.load, plant.omega_m, electric.tau, world.alpha_m)
         omega_e = motor.n_p * plant.omega_m
         moved[j] = Moved(
             plant.theta_e, omega_e, electric.tau, tau, plant.omega_m, electric.i_alpha, electric.i_beta, u_dc
@@ -586,7 +628,7 @@ def _advance(
         left = firmware.dead_time.left
         steered[j] = Steered(status, result.i_d, result.i_q, result.omega_ref, left.full, left.near, result.theta)
         tick = state.tick + params.period_ticks
-        state = State(k + 1, tick, world, front, tracker, index, firmware)
+        state = State(k + 1, tick, world, front, tracker, index, disc, firmware)
     state_[0] = state
     count[0] = m
 

@@ -2,7 +2,8 @@
 
     C du/dt = (u_source - u) / R_source - i - u / R_brake
 
-`i` is what the inverter takes. A source that takes nothing back, such as a mains adapter, is cut off while the
+`i` is what the inverter takes. A source that limits its current gives that, and no more, as its voltage falls: a
+laboratory supply at its limit. A source that takes nothing back, such as a mains adapter, is cut off while the
 capacitor stands above it: then a motor that brakes pumps the link up. Over a PWM period the inverter's current is
 constant, so each stretch between cutting off and coming back is solved exactly. Without a resistance the link is stiff.
 
@@ -31,6 +32,8 @@ class Params(NamedTuple):
     g_brake: float  # 1/ohm
     T_s: float
     whole: float  # how much of a deviation is left after a period, fed and without the brake
+    i_limit: float  # A, the most that the source gives
+    u_limit: float  # V, of the link below which it gives that; minus infinity: it always gives what it takes
 
 
 class State(NamedTuple):
@@ -41,11 +44,20 @@ class State(NamedTuple):
 
 
 def make_params(
-    u_dc: float, R_source: float, C: float, regenerates: int, u_brake: float, R_brake: float, T_s: float
+    u_dc: float,
+    R_source: float,
+    C: float,
+    regenerates: int,
+    u_brake: float,
+    R_brake: float,
+    T_s: float,
+    i_limit: float = 0.0,
 ) -> Params:
-    """The link's constants from V, ohm, F, 0 or 1, V, ohm and the PWM period in s."""
+    """The link's constants from V, ohm, F, 0 or 1, V, ohm, the PWM period in s and the source's limit in A, 0: none."""
+    u_limit = u_dc - R_source * i_limit if i_limit > 0.0 else -math.inf
     whole = math.exp(-T_s / (R_source * C)) if R_source else 0.0
-    return Params(float(u_dc), float(R_source), float(C), int(regenerates), float(u_brake), 1.0 / R_brake, T_s, whole)
+    source = float(u_dc), float(R_source), float(C), int(regenerates)
+    return Params(*source, float(u_brake), 1.0 / R_brake, T_s, whole, float(i_limit), u_limit)
 
 
 @kernel
@@ -75,30 +87,41 @@ def step(params: Params, state: State, current: float) -> State:
             braking = 0
     end = params.u_source - params.R_source * current
     if braking == 0 and u < params.u_source and end <= params.u_source:  # as it mostly is
-        return State(end + (u - end) * params.whole, 0)
+        after = end + (u - end) * params.whole
+        if min(u, after) >= params.u_limit:
+            return State(after, 0)
     g = params.g_brake if braking == 1 else 0.0
     left = params.T_s
     rises = current + g * u < 0.0  # while the source is cut off
     fed = u < params.u_source or (u == params.u_source and not rises) or params.regenerates == 1
     for _ in range(STRETCHES):
+        falls = params.i_limit < current + g * u  # where the source gives its most
+        limited = fed and (u < params.u_limit or (u == params.u_limit and falls))
         drive = params.u_source / params.R_source - current if fed else -current
         total = g + 1.0 / params.R_source if fed else g
+        if limited:
+            drive = params.i_limit - current
+            total = g
+        goal = params.u_source
+        if limited or (fed and params.i_limit > 0.0 and drive < total * u):
+            goal = params.u_limit
         h = left
         if total > 0.0:
             end = drive / total
             tau = params.C / total
-            if params.regenerates == 0 and u != params.u_source:
-                h = _upto(u, end, tau, params.u_source, left)
+            if u != goal and (goal == params.u_limit or params.regenerates == 0):
+                h = _upto(u, end, tau, goal, left)
             after = end + (u - end) * math.exp(-h / tau)
         else:
             goes = drive / params.C
-            if goes != 0.0 and (params.u_source - u) / goes > 0.0:
-                h = min((params.u_source - u) / goes, left)
+            if goes != 0.0 and (goal - u) / goes > 0.0:
+                h = min((goal - u) / goes, left)
             after = u + goes * h
         left -= h
         if left <= 0.0:
             u = after
             break
-        u = params.u_source
-        fed = not fed
+        u = goal
+        if goal == params.u_source:
+            fed = not fed
     return State(u, braking)

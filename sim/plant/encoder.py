@@ -6,9 +6,10 @@ wherever the rotor is, and is an absolute angle from the first index pulse on. A
 sine with a period a turn, and marks that are not evenly read one with a period a line, which makes counts of unequal
 width. One that is late (a filter, a serial interface) shows the angle that was `latency` ago, at the speed of now.
 
-What may be wrong: the disc has slipped on the shaft, its index with it; counts are lost, or counted twice, at random
-places, either way; the firmware takes the disc to have another number of lines; channels are exchanged, so that it
-counts the wrong way. Against the last two, and a misaligned zero, the firmware has constants of its own (`read_as`).
+What may be wrong: the disc has slipped on the shaft, its index with it, or is dragged along by friction only, which
+gives it no more than so much acceleration, and slips whenever the shaft has more; counts are lost, or counted twice, at
+random places, either way; the firmware takes the disc to have another number of lines; channels are exchanged, so that
+it counts the wrong way. Against the last two, and a misaligned zero, the firmware has constants of its own (`read_as`).
 Where the index pulse sets the counter to zero each turn, what was lost is put right there.
 
 Never interpolates between counts.
@@ -21,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sim.hints import seldom
 from sim.numba_cache import kernel
 from sim.plant import noise
 
@@ -45,6 +47,7 @@ class Params(NamedTuple):
     latency: float  # s, short beside what the speed takes to change
     lost: float  # share of counts that are lost; below zero: counted twice
     resets: int  # 1: each index pulse sets the counter to zero
+    grip: float  # rad/s2, mechanical, that friction gives the disc; 0: it is fixed
 
 
 class Index(NamedTuple):
@@ -54,6 +57,13 @@ class Index(NamedTuple):
     missed: int  # counts that were lost
     last: int  # absolute count at the last sample
     found: int  # 1: the index pulse sets nothing right any more
+
+
+class Disc(NamedTuple):
+    """The disc, where it is not fixed to the shaft."""
+
+    omega: float  # rad/s, mechanical
+    behind: float  # rad, mechanical, by which it has slipped
 
 
 class State(NamedTuple):
@@ -98,6 +108,7 @@ def make_params(
         0.0,
         0.0,
         0,
+        0.0,
     )
 
 
@@ -115,8 +126,13 @@ def read_as(params: Params, lines: float, reverse: float, zero: float) -> Params
     )
 
 
-def make_faulty(params: Params, slip_deg: float, lost_per_rev: float, pulses_hat: int, reversed: int) -> Params:
-    """The constants with these faults: electrical degrees, counts a turn, lines (0: as the firmware has it), 0 or 1."""
+def make_faulty(
+    params: Params, slip_deg: float, slip_alpha: float, lost_per_rev: float, pulses_hat: int, reversed: int
+) -> Params:
+    """The constants with these faults.
+
+    In electrical degrees, rad/s2 (0: none), counts a turn, lines (0: as the firmware has it), 0 or 1.
+    """
     counts_hat = 4 * pulses_hat or params.counts_hat
     return params._replace(
         counts_hat=counts_hat,
@@ -124,7 +140,44 @@ def make_faulty(params: Params, slip_deg: float, lost_per_rev: float, pulses_hat
         offset=params.offset + math.radians(slip_deg),
         rad_per_count=params.rad_per_count * (params.counts_hat / counts_hat),
         lost=lost_per_rev / params.counts,
+        grip=float(slip_alpha),
     )
+
+
+@kernel
+def dragged(params: Params, disc: Disc, omega_0: float, omega_1: float) -> Disc:
+    """The disc a period later, in which the shaft's speed goes straight from `omega_0` to `omega_1`, mechanical rad/s.
+
+    Whatever it has slipped is forgotten while it is fixed.
+    """
+    return _dragged(params, disc, omega_0, omega_1) if seldom(params.grip > 0.0) else Disc(omega_1, 0.0)
+
+
+@kernel
+def _dragged(params: Params, disc: Disc, omega_0: float, omega_1: float) -> Disc:
+    left = params.T_s
+    alpha = (omega_1 - omega_0) / params.T_s
+    slip = omega_0 - disc.omega  # rad/s
+    behind = disc.behind
+    for _ in range(2):
+        if slip == 0.0 and abs(alpha) <= params.grip:
+            return Disc(omega_1, behind)
+        forward = slip > 0.0 or (slip == 0.0 and alpha > 0.0)
+        rate = alpha - params.grip if forward else alpha + params.grip
+        stops = slip * rate < 0.0 and -slip / rate < left
+        h = -slip / rate if stops else left
+        behind += h * (slip + 0.5 * rate * h)
+        slip = 0.0 if stops else slip + rate * h
+        left -= h
+        if left <= 0.0:
+            break
+    return Disc(omega_1 - slip, behind)
+
+
+@kernel
+def slipped(params: Params, disc: Disc, n_p: float) -> Params:
+    """The constants with the disc where it is now, on the shaft of a motor with `n_p` pole pairs."""
+    return params._replace(offset=params.offset - n_p * disc.behind) if seldom(params.grip > 0.0) else params
 
 
 @kernel

@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from sim.hints import seldom
 from sim.numba_cache import kernel
-from sim.plant import dead_time, inverter, mechanics, pmsm
+from sim.plant import dead_time, inverter, mechanics, open_phase, pmsm
 
 C_3, C_4, C_5, C_6, C_7, C_8, C_9, C_10 = (1.0 / math.factorial(k) for k in range(3, 11))
 ONE_SIXTH, ONE_TWELFTH, ONE_TWENTY_FOURTH = 1.0 / 6.0, 1.0 / 12.0, 1.0 / 24.0
@@ -60,6 +61,9 @@ class Params(NamedTuple):
     shaft: mechanics.Params
     decay: Decay  # of whole steps
     half_decay: Decay  # of half steps
+    open: int = 0  # the phase whose wire is broken, as in `open_phase`
+    tied: int = 0  # the phase that is alone while a short ties the others together, likewise
+    tied_R: float = 0.0  # ohm, of that short
 
 
 class State(NamedTuple):
@@ -441,8 +445,57 @@ def _coasting(params: Params, state: State, push: mechanics.Push, h: float) -> S
 
 
 @kernel
+def _on_axis_rates(
+    params: Params,
+    applied: inverter.Applied,
+    push: mechanics.Push,
+    phase: int,
+    along: float,
+    omega_m: float,
+    cos: float,
+    sin: float,
+) -> tuple[float, float]:
+    """How the flux along the axis (V) and the speed (rad/s2) change where `phase` has no current."""
+    motor = params.motor
+    e_alpha, e_beta = open_phase.axis(phase)
+    i, _, _ = open_phase.current(motor, along, e_alpha, e_beta, cos, sin)
+    tau = open_phase.torque(motor, i * e_alpha, i * e_beta, cos, sin)
+    loss_alpha, loss_beta = inverter.loss(params.inverter, applied, i * e_alpha, i * e_beta)
+    u = e_alpha * (applied.u_alpha - loss_alpha) + e_beta * (applied.u_beta - loss_beta)
+    R = motor.R_s if applied.on else motor.R_s + 0.5 * params.tied_R
+    return u - R * i, push.gain * (tau - params.shaft.b * omega_m - push.tau_dry) + push.alpha
+
+
+@kernel
+def _on_axis(
+    params: Params, state: State, applied: inverter.Applied, push: mechanics.Push, h: float, phase: int
+) -> State:
+    """`_uneven` where one phase has no current."""
+    n_p = params.motor.n_p
+    half = 0.5 * h
+    omega_m = state.omega_m
+    e_alpha, e_beta = open_phase.axis(phase)
+    x = e_alpha * state.psi_alpha + e_beta * state.psi_beta
+    x1, w1 = _on_axis_rates(params, applied, push, phase, x, omega_m, state.cos, state.sin)
+    cos, sin = turn(state.cos, state.sin, n_p * half * (omega_m + 0.5 * half * w1))
+    x2, w2 = _on_axis_rates(params, applied, push, phase, x + half * x1, omega_m + half * w1, cos, sin)
+    x3, w3 = _on_axis_rates(params, applied, push, phase, x + half * x2, omega_m + half * w2, cos, sin)
+    angle = n_p * h * (omega_m + h * ONE_SIXTH * (w1 + w2 + w3)) + state.late
+    cos, sin = turn(state.cos, state.sin, angle)
+    x4, w4 = _on_axis_rates(params, applied, push, phase, x + h * x3, omega_m + h * w3, cos, sin)
+    sixth = h * ONE_SIXTH
+    x += sixth * (x1 + 2.0 * (x2 + x3) + x4)
+    omega_m += sixth * (w1 + 2.0 * (w2 + w3) + w4)
+    _, psi_alpha, psi_beta = open_phase.current(params.motor, x, e_alpha, e_beta, cos, sin)
+    return State(psi_alpha, psi_beta, omega_m, state.theta_e + angle, cos, sin, 0.0)
+
+
+@kernel
 def _step(params: Params, state: State, applied: inverter.Applied, push: mechanics.Push, h: float) -> State:
-    if not applied.on:
+    lone = params.open if applied.on else params.tied
+    if seldom(lone != open_phase.NONE and lone != open_phase.ALL):
+        return _on_axis(params, state, applied, push, h, lone)
+    if not applied.on or lone == open_phase.ALL:
         return _coasting(params, state, push, h)
     if params.motor.uneven == 1:
         return _uneven(params, state, applied, push, h)
@@ -463,6 +516,13 @@ def torque(params: Params, state: State) -> float:
 
 
 @kernel
+def losing_shaft(shaft: mechanics.Params, state: State) -> mechanics.Params:
+    """The shaft with friction and iron losses as they are now."""
+    square = state.psi_alpha * state.psi_alpha + state.psi_beta * state.psi_beta
+    return mechanics.losing(shaft, state.omega_m, square)
+
+
+@kernel
 def step(
     params: Params, state: State, applied: inverter.Applied, load: mechanics.Load, h: float
 ) -> tuple[State, float]:
@@ -474,9 +534,10 @@ def step(
     for _ in range(10):  # zero speed is passed once or twice in a step; more often never
         part = min(part, left)
         tau_e = torque(params, state) if state.omega_m == 0.0 else 0.0
-        push = mechanics.push(params.shaft, load, state.omega_m, tau_e, left)
+        here = params._replace(shaft=losing_shaft(params.shaft, state))
+        push = mechanics.push(here.shaft, load, state.omega_m, tau_e, left)
         alpha = push.alpha
-        after = _step(params, state, applied, push, part)
+        after = _step(here, state, applied, push, part)
         turned = push.gain != 0.0 and after.omega_m * push.tau_dry < 0.0  # against friction as it was taken
         if turned and not cut and state.omega_m != 0.0:
             part *= state.omega_m / (state.omega_m - after.omega_m)

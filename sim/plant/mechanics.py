@@ -3,8 +3,15 @@
     J d omega_m / dt = tau_e - b omega_m - tau_dry,    theta_e' = n_p omega_m
 
 `tau_dry` is dry friction and the load machine's brake torque: it opposes motion, holds the shaft at rest up to its
-size, and never drives it. It keeps its direction over an integration step; `integrator` ends a step where the speed
-passes zero, so friction never chatters.
+size, and never drives it. Friction may be more at rest and fall as the shaft begins to turn (Stribeck), and the iron
+takes torque where the flux goes round in it, by hysteresis and by eddy currents:
+
+    tau_dry = tau_c + tau_s exp(-(omega_m / omega_s)^2) + tau_h psi^2 / psi_f^2,   b = b_v + b_eddy psi^2 / psi_f^2
+
+with psi the flux linkage's size. In power that is a resistance of 3/2 n_p^2 psi_f^2 / b_eddy across the flux, as far as
+the flux turns with the rotor; losses by ripple and by quick changes are not in it. Over an integration step all of it
+is a straight line over the speed, the tangent at its begin. The dry torque keeps its direction over a step;
+`integrator` ends one where the speed passes zero, so friction never chatters.
 
 The load machine
 - is off: no torque;
@@ -14,6 +21,11 @@ The load machine
 - is beyond a coupling (COUPLED): see `coupling`.
 
 A hand, or a machine that trembles, may rock the shaft at rest by a sine of its angle (ROCKED).
+
+Source: B. Armstrong-Helouvry et al., "A survey of models, analysis tools and compensation methods for the control of
+machines with friction", Automatica, 1994, for Stribeck's curve; G. Bertotti, "General properties of power losses in
+soft ferromagnetic materials", IEEE Trans. Magn., 1988, for hysteresis that goes with frequency and eddy currents with
+its square, both with the square of the flux here; its excess losses are left out.
 """
 
 from __future__ import annotations
@@ -21,6 +33,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from sim.hints import seldom
 from sim.numba_cache import kernel
 
 OFF, SPEED, TORQUE = 0, 1, 3  # the load machine's modes, SPEED and TORQUE as on the wire
@@ -35,6 +48,11 @@ class Params(NamedTuple):
     b: float  # N m s/rad
     tau_coulomb: float  # N m
     alpha_m_max: float  # slope of a forced speed, rad/s2; 0: none
+    stribeck: float  # N m, by which dry friction is more at rest
+    omega_stribeck: float  # rad/s, at which a share 1/e of that is left
+    hysteresis: float  # N m by (V s)^2
+    eddy: float  # N m s/rad by (V s)^2
+    varies: int  # 1: any of these is there
 
 
 class Load(NamedTuple):
@@ -60,9 +78,38 @@ class Push(NamedTuple):
     alpha: float  # rad/s2
 
 
-def make_params(J: float, b: float, tau_coulomb: float, alpha_m_max: float) -> Params:
-    """The shaft's constants from kg m2, N m s/rad, N m and rad/s2."""
-    return Params(float(J), float(b), float(tau_coulomb), float(alpha_m_max))
+def make_params(
+    J: float,
+    b: float,
+    tau_coulomb: float,
+    alpha_m_max: float,
+    stribeck: float = 0.0,
+    omega_stribeck: float = 1.0,
+    iron: tuple[float, float] = (0.0, 0.0),
+) -> Params:
+    """The shaft's constants from kg m2, N m s/rad, N m, rad/s2, N m and rad/s.
+
+    `iron`: its losses, N m by (V s)^2 and N m s/rad by (V s)^2.
+    """
+    hysteresis, eddy = iron
+    varies = int(stribeck > 0.0 or hysteresis > 0.0 or eddy > 0.0)
+    shaft = float(J), float(b), float(tau_coulomb), float(alpha_m_max)
+    return Params(*shaft, float(stribeck), float(omega_stribeck), float(hysteresis), float(eddy), varies)
+
+
+@kernel
+def losing(params: Params, omega_m: float, square: float) -> Params:
+    """The shaft with friction and iron losses as they are near a speed (rad/s) and a flux, squared ((V s)^2)."""
+    return _losing(params, omega_m, square) if seldom(params.varies != 0) else params
+
+
+@kernel
+def _losing(params: Params, omega_m: float, square: float) -> Params:
+    x = omega_m / params.omega_stribeck
+    more = params.stribeck * math.exp(-x * x)
+    fall = 2.0 * abs(x) / params.omega_stribeck * more  # N m s/rad
+    dry = params.tau_coulomb + more + fall * abs(omega_m) + params.hysteresis * square
+    return params._replace(b=params.b - fall + params.eddy * square, tau_coulomb=dry)
 
 
 def make_rock(rock_deg: float, rock_hz: float, n_p: int) -> Rock:

@@ -24,11 +24,19 @@ Iron saturates: with v the winding's own flux and i_0 what the inductances L_d, 
     i = i_0 (1 + (v . i_0) / (L i_sat^2)),   1 / L = (1/L_d + 1/L_q) / 2
 
 so that with L_d = L_q half the inductance is left at 2 i_sat. It is the gradient of an energy, and the torque stays
-psi x i. The magnet's own flux and the crossing of d and q are left out.
+psi x i. There the magnet's own flux is left out. With it, the axes saturate one another: with psi_d = v_d + psi_f,
 
-Amplitude-invariant quantities; currents are positive into the motor. No iron losses.
+    i_d = ... + k/2 psi_d v_q^2,   i_q = ... + k/2 (psi_d^2 - psi_f^2) v_q,   k = 1 / (L_d L_q psi_f i_cross)
 
-Source: (3) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; the torque of harmonics by co-energy.
+so that 1 / L_q rises by the share i_d / i_cross (it falls for a negative i_d), and i_q takes L_q i_q^2 / (2 i_cross)
+from the magnet's flux. That is the gradient of an energy again, k/4 (psi_d^2 - psi_f^2) v_q^2.
+
+Amplitude-invariant quantities; currents are positive into the motor. Iron losses are a torque on the shaft
+(`mechanics`), what depends on frequency is in series with the winding (`skin_effect`).
+
+Source: (3) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; the torque of harmonics by co-energy; the crossing of the
+axes is the cross term of the polynomial of Hinkkanen et al., "Sensorless self-commissioning of synchronous reluctance
+motors at standstill without rotor locking", IEEE Trans. Ind. Appl., 2017, with exponents 0, about the magnet's flux.
 """
 
 from __future__ import annotations
@@ -37,6 +45,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from sim.hints import seldom
 from sim.numba_cache import kernel
 
 HALF_SQRT3 = 0.5 * math.sqrt(3.0)
@@ -61,7 +70,8 @@ class Params(NamedTuple):
     cog_6: float  # N m
     cog_12: float
     soft: float  # 1 / (L i_sat^2), 1/(H A2); 0: no saturation
-    uneven: int  # 1: harmonics, cogging or saturation
+    cross: float  # k above, A/(V s)^3; 0: the axes know nothing of one another
+    uneven: int  # 1: harmonics, cogging or saturation of any kind
 
 
 def make_params(
@@ -98,8 +108,17 @@ def make_params(
         six,
         twelve,
         soft,
+        0.0,
         int(soft > 0.0 or any(emf_harmonics) or any(cogging)),
     )
+
+
+def with_crossing(params: Params, i_cross: float) -> Params:
+    """The constants of a motor whose axes saturate one another, from A, 0: they do not."""
+    if i_cross == 0.0:
+        return params
+    bent = (params.g_mean + params.g_diff) * (params.g_mean - params.g_diff)
+    return params._replace(cross=bent / (params.psi_f * i_cross), uneven=1)
 
 
 @kernel
@@ -116,6 +135,8 @@ class Magnet(NamedTuple):
     more_alpha: float  # what its harmonics add to the flux where that makes torque, V s
     more_beta: float
     cogging: float  # N m
+    cos: float  # of the angle
+    sin: float
     cos_2: float  # of twice the angle
     sin_2: float
 
@@ -134,7 +155,15 @@ def magnet(params: Params, cos: float, sin: float) -> Magnet:
     more_im = 6.0 * (params.psi_7 + params.psi_5) * s_6 + 12.0 * (params.psi_13 + params.psi_11) * s_12
     alpha, beta = _times(cos, sin, params.psi_f + sum_re, sum_im)
     more_alpha, more_beta = _times(cos, sin, more_re, more_im)
-    return Magnet(alpha, beta, more_alpha, more_beta, s_6 * (params.cog_6 + 2.0 * c_6 * params.cog_12), c_2, s_2)
+    cogging = s_6 * (params.cog_6 + 2.0 * c_6 * params.cog_12)
+    return Magnet(alpha, beta, more_alpha, more_beta, cogging, cos, sin, c_2, s_2)
+
+
+@kernel
+def _crossed(params: Params, v_d: float, v_q: float) -> tuple[float, float]:
+    """i_d, i_q (A) that are there because the axes saturate one another, from the winding's own flux (V s)."""
+    half = 0.5 * params.cross * v_q
+    return half * v_q * (v_d + params.psi_f), half * v_d * (v_d + 2.0 * params.psi_f)
 
 
 @kernel
@@ -145,7 +174,15 @@ def uneven_currents(params: Params, magnet: Magnet, psi_alpha: float, psi_beta: 
     i_alpha = params.g_mean * v_alpha + params.g_diff * (magnet.cos_2 * v_alpha + magnet.sin_2 * v_beta)
     i_beta = params.g_mean * v_beta + params.g_diff * (magnet.sin_2 * v_alpha - magnet.cos_2 * v_beta)
     more = 1.0 + params.soft * (v_alpha * i_alpha + v_beta * i_beta)
-    return more * i_alpha, more * i_beta
+    i_alpha *= more
+    i_beta *= more
+    if seldom(params.cross != 0.0):
+        v_d, v_q = _times(v_alpha, v_beta, magnet.cos, -magnet.sin)
+        d, q = _crossed(params, v_d, v_q)
+        x_alpha, x_beta = _times(d, q, magnet.cos, magnet.sin)
+        i_alpha += x_alpha
+        i_beta += x_beta
+    return i_alpha, i_beta
 
 
 @kernel
@@ -181,6 +218,27 @@ def currents(params: Params, psi_alpha: float, psi_beta: float, cos: float, sin:
 
 
 @kernel
+def _own_flux(params: Params, i_d: float, i_q: float, v_d: float, v_q: float) -> tuple[float, float]:
+    """The winding's own flux (V s) that takes these currents (A) where the axes cross, by Newton from a guess."""
+    g_d, g_q = params.g_mean + params.g_diff, params.g_mean - params.g_diff
+    for _ in range(12):
+        linear_d, linear_q = g_d * v_d, g_q * v_q
+        more = 1.0 + params.soft * (v_d * linear_d + v_q * linear_q)
+        whole = v_d + params.psi_f
+        cross_d, cross_q = _crossed(params, v_d, v_q)
+        wrong_d = more * linear_d + cross_d - i_d
+        wrong_q = more * linear_q + cross_q - i_q
+        h_dd = g_d * more + 2.0 * params.soft * linear_d * linear_d + 0.5 * params.cross * v_q * v_q
+        h_qq = g_q * more + 2.0 * params.soft * linear_q * linear_q
+        h_qq += 0.5 * params.cross * v_d * (v_d + 2.0 * params.psi_f)
+        h_dq = 2.0 * params.soft * linear_d * linear_q + params.cross * whole * v_q
+        det = h_dd * h_qq - h_dq * h_dq
+        v_d -= (h_qq * wrong_d - h_dq * wrong_q) / det
+        v_q -= (h_dd * wrong_q - h_dq * wrong_d) / det
+    return v_d, v_q
+
+
+@kernel
 def flux(params: Params, i_alpha: float, i_beta: float, cos: float, sin: float) -> tuple[float, float]:
     """psi_alpha, psi_beta (V s) from the currents (A) and the rotor's angle: the inverse of `currents`."""
     i_d = cos * i_alpha + sin * i_beta
@@ -197,6 +255,8 @@ def flux(params: Params, i_alpha: float, i_beta: float, cos: float, sin: float) 
             x -= (x * x * x - x * x - c) / (3.0 * x * x - 2.0 * x)
         psi_d /= x
         psi_q /= x
+    if params.cross != 0.0:
+        psi_d, psi_q = _own_flux(params, i_d, i_q, psi_d, psi_q)
     m = magnet(params, cos, sin)
     return cos * psi_d - sin * psi_q + m.alpha, sin * psi_d + cos * psi_q + m.beta
 

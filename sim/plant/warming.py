@@ -21,8 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.plant import pmsm
-
 EVERY = 4096
 COPPER = 1.0 / 255.0  # 1/K, of the resistance at 20 degrees C: 1 / (235 + 20), IEC 60034-1
 
@@ -80,11 +78,11 @@ class Warming:
             self._after = ((vectors * np.exp(values * seconds)) @ np.linalg.inv(vectors)).real
             self._at_last = np.array([params.R_th_winding + params.R_th_housing, params.R_th_housing])  # K/W
 
-    def heat(self, motor: pmsm.Params, square: float) -> None:
-        """The next stretch, with a mean square (A2) of the current's amplitude, in a motor as warm as it is."""
+    def heat(self, R_s: float, square: float) -> None:
+        """The next stretch, with a mean square (A2) of the current's amplitude, in a winding (ohm) as warm as it is."""
         winding, housing, since = self.state
         if self._heats:
-            end = 1.5 * motor.R_s * square * self._at_last
+            end = 1.5 * R_s * square * self._at_last
             winding, housing = end + self._after @ (np.array([winding, housing]) - end)
         self.state = State(float(winding), float(housing), since + self._seconds)
 

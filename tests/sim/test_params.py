@@ -75,7 +75,8 @@ def refusal(key: str, value: object) -> str:
         ("firmware.vector_tracking.kp_vt", 1,
          "unknown key firmware.vector_tracking.kp_vt in overrides; did you mean firmware.vector_tracking.k_p_vt?"),
         ("mechanics.colour", 1,
-         "unknown key mechanics.colour in overrides; allowed here: J, b, tau_coulomb, theta_0_deg"),
+         "unknown key mechanics.colour in overrides; "
+         "allowed here: J, b, tau_coulomb, stribeck, omega_stribeck, theta_0_deg"),
         ("motor", 3, "motor is a section, got 3 (in overrides)"),
         ("clock.pwm_hz", 16001,
          "tick_hz must be a whole multiple of pwm_hz = 16001 Hz, got 20000000 (clock in overrides)"),

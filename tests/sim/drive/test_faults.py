@@ -344,6 +344,7 @@ EACH = {
     "hall.rise_delay": [2e-4, 0.0, 0.0], "hall.fall_delay": [0.0, 2e-4, 0.0], "hall.bounce": [0.0, 0.0, 1.0],
     "hall.pulse_rate": [0.0, 900.0, 0.0], "hall.contact_open": [0.0, 0.0, 0.3], "hall.hysteresis_deg": [0.0, 3.0, 0.0],
     "magnets.pole_pair_off_deg": 5.0, "magnets.eccentricity_deg": 5.0, "encoder.slip_deg": 5.0,
+    "encoder.slip_alpha": 100.0,
     "encoder.lost_per_rev": 100.0, "encoder.pulses_hat": 3601, "encoder.reversed": 1,
 }  # fmt: skip
 

@@ -15,6 +15,16 @@ RARE = {
     "current_sensor.delay": 1e-6,
     "hall.latency": 10e-6,
     "clock.substeps": 2,
+    "link_sensor.gain_error": 0.01,
+    "motor.i_cross": 60.0,
+    "motor.iron_eddy": 1e-5,
+    "motor.iron_hysteresis": 1e-3,
+    "motor.skin_R": 0.05,
+    "mechanics.stribeck": 1e-3,
+    "faults.motor.open": 1,
+    "faults.motor.swap": 1,
+    "faults.motor.short": 1,
+    "faults.encoder.slip_alpha": 100.0,
 }
 
 

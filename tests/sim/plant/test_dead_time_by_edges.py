@@ -57,7 +57,7 @@ def in_small_steps(motor, dead, w, theta, i, duties):
 def modelled(motor, dead, w, theta, i, duties):
     """The same by the model."""
     R, L, psi = motor
-    params = pmsm.Params(R, 1.0 / L, 0.0, psi, 1.0, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+    params = pmsm.make_params(R, L, L, psi, 1)
     legs = dead_time.Params(T, dead, U_DC, U_DIODE)
     return np.array(
         [

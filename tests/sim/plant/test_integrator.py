@@ -18,12 +18,14 @@ NO_LOAD = mechanics.Load(mechanics.OFF, 0.0, 0.0)
 class Reference:
     """The motor by its energy and the shaft, in the stator frame, for scipy: an oracle that shares no code.
 
-    Ideal voltages, harmonics, cogging and saturation, viscous and dry friction, a torque `load` against positive speed.
+    Ideal voltages, harmonics, cogging and saturation, also of one axis by the other, friction, viscous, dry, Stribeck's
+    and the iron's, a torque `load` against positive speed.
     """
 
-    def __init__(self, m, shaft, emf, cogging, i_sat):
+    def __init__(self, m, shaft, emf, cogging, i_sat, i_cross=0.0):
         self.m, self.shaft, self.cogging, self.load = m, shaft, cogging, 0.0
         self.soft = 0.5 * (1.0 / m.L_d + 1.0 / m.L_q) / i_sat**2 if i_sat else 0.0
+        self.cross = 1.0 / (m.L_d * m.L_q * m.psi_f * i_cross) if i_cross else 0.0
         self.orders = np.array([1, -5, 7, -11, 13])
         self.flux = m.psi_f * np.array([1.0, *emf]) / np.abs(self.orders)
 
@@ -35,13 +37,16 @@ class Reference:
     def current(self, psi, theta):
         """The gradient of the energy, in the rotor's frame."""
         own, i_0 = self.own(psi, theta)
-        return i_0 * (1.0 + self.soft * (own * np.conj(i_0)).real)
+        whole = own.real + self.m.psi_f
+        crossed = complex(whole * own.imag**2, (whole**2 - self.m.psi_f**2) * own.imag)
+        return i_0 * (1.0 + self.soft * (own * np.conj(i_0)).real) + 0.5 * self.cross * crossed
 
     def energy(self, psi, theta):
         """Of the windings' own flux, J over 3/2: half of own . i_0, and what saturation adds."""
         own, i_0 = self.own(psi, theta)
         twice = (own * np.conj(i_0)).real
-        return 0.5 * twice + 0.25 * self.soft * twice**2
+        crossed = ((own.real + self.m.psi_f) ** 2 - self.m.psi_f**2) * own.imag**2
+        return 0.5 * twice + 0.25 * self.soft * twice**2 + 0.25 * self.cross * crossed
 
     def torque(self, psi, theta):
         """How the energy falls with the angle, by central differences: good to 1e-9 here."""
@@ -50,29 +55,37 @@ class Reference:
         fall = (self.energy(psi, theta - d) - self.energy(psi, theta + d)) / (2.0 * d)
         return 1.5 * self.m.n_p * fall + six * np.sin(6 * theta) + twelve * np.sin(12 * theta)
 
+    def friction(self, psi, omega):
+        """All that the shaft loses, N m."""
+        s = {"stribeck": 0.0, "omega_stribeck": 1.0, "iron": (0.0, 0.0)} | self.shaft
+        dry = s["tau_coulomb"] + s["stribeck"] * np.exp(-((omega / s["omega_stribeck"]) ** 2))
+        hysteresis, eddy = np.array(s["iron"]) * abs(psi) ** 2
+        return (s["b"] + eddy) * omega + (dry + hysteresis) * np.sign(omega)
+
     def rates(self, t, x, u):
         psi, omega, theta = x[0] + 1j * x[1], x[2], x[3]
         flux = u - self.m.R_s * self.current(psi, theta) * np.exp(1j * theta)
-        tau = self.torque(psi, theta) - self.shaft["b"] * omega - self.shaft["tau_coulomb"] * np.sign(omega) - self.load
+        tau = self.torque(psi, theta) - self.friction(psi, omega) - self.load
         return [flux.real, flux.imag, tau / self.shaft["J"], self.m.n_p * omega]
 
     def solve(self, x, span, u=0.0, **how):
         return solve_ivp(self.rates, (0.0, span), x, "DOP853", args=(u,), rtol=1e-10, atol=1e-12, **how)
 
 
-def make(L_q=None, emf=(0.0,) * 4, cogging=(0.0, 0.0), i_sat=0.0, **changes):
+def make(L_q=None, emf=(0.0,) * 4, cogging=(0.0, 0.0), i_sat=0.0, i_cross=0.0, **changes):
     """Plant parameters with an ideal inverter, and the reference of the same figures."""
     p = load_params(None, {"motor.L_q": L_q} if L_q else None)
     m = p.motor
     shaft = {"J": p.mechanics.J, "b": p.mechanics.b, "tau_coulomb": p.mechanics.tau_coulomb, **changes}
     motor = pmsm.make_params(m.R_s, m.L_d, m.L_q, m.psi_f, m.n_p, emf, cogging, i_sat)
+    motor = pmsm.with_crossing(motor, i_cross)
     params = integrator.Params(
         motor,
         inverter.make_params(24.0, 0.0, 0.0, 0.3, 0.8, T_S),
         mechanics.make_params(**shaft, alpha_m_max=1000.0),
         *integrator.decays(motor, T_S),
     )
-    return params, Reference(m, shaft, emf, cogging, i_sat)
+    return params, Reference(m, shaft, emf, cogging, i_sat, i_cross)
 
 
 LOST = dict.fromkeys(("e_a", "e_b", "e_c"), 0.4)
@@ -163,12 +176,12 @@ def test_an_inverters_loss_near_zero_current_agrees_with_solve_ivp(omega_m, i_q,
     assert abs(state.theta_e - x[3]) < 1e-4
 
 
-UNEVEN = product((20.0, 150.0, 300.0), (176e-6, 300e-6), (0.0, 8.0))
+UNEVEN = product((20.0, 150.0, 300.0), (176e-6, 300e-6), (0.0, 8.0), (0.0, 25.0))
 
 
-@pytest.mark.parametrize(("omega_m", "L_q", "i_sat"), sampled("uneven", UNEVEN, 3, campaign="oracles"))
-def test_harmonics_cogging_and_saturation_agree_with_solve_ivp(omega_m, L_q, i_sat):
-    uneven = {"emf": (0.05, -0.03, 0.01, 0.008), "cogging": (0.004, -0.002), "i_sat": i_sat}
+@pytest.mark.parametrize(("omega_m", "L_q", "i_sat", "i_cross"), sampled("uneven", UNEVEN, 3, campaign="oracles"))
+def test_harmonics_cogging_and_saturation_agree_with_solve_ivp(omega_m, L_q, i_sat, i_cross):
+    uneven = {"emf": (0.05, -0.03, 0.01, 0.008), "cogging": (0.004, -0.002), "i_sat": i_sat, "i_cross": i_cross}
     _, _, current, angle, torque, ripple = voltage_steps(1, L_q, omega_m, 160, **uneven)
     assert current < 3e-4
     assert angle < 3e-6

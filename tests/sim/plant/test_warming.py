@@ -24,7 +24,7 @@ def test_agrees_with_solve_ivp_while_the_loss_changes():
     x = np.zeros(2)
     for k in range(600):
         square = 40.0 if k % 200 < 120 else 5.0
-        warming.heat(MOTOR, square)
+        warming.heat(MOTOR.R_s, square)
         x = solve_ivp(rates, (0.0, seconds), x, args=(1.5 * 0.158 * square,), rtol=1e-9, atol=1e-12).y[:, -1]
         assert warming.state[:2] == pytest.approx(x, abs=1e-6)
     warm = warming.factors
@@ -35,7 +35,7 @@ def test_agrees_with_solve_ivp_while_the_loss_changes():
 def test_sensors_drift_to_their_ends():
     warming = Warming(THERMAL._replace(R_th_winding=0.0), 1.0)
     for _ in range(20):
-        warming.heat(MOTOR, 0.0)
+        warming.heat(MOTOR.R_s, 0.0)
     moved = warming.drifted((0.1, 0.0, 0.0), (0.0, 0.0, 0.0))
     share = 1.0 - math.exp(-1.0)
     assert moved["offset"] == pytest.approx((0.1 + 0.03 * share, -0.02 * share, 0.01 * share))
