@@ -37,7 +37,7 @@ class Evidence:
 
     def as_json(self) -> dict[str, Any]:
         """Plain data."""
-        return finite({
+        told: dict[str, Any] = finite({
             "title": self.title,
             "figures": dict(self.figures),
             "panels": [
@@ -47,6 +47,7 @@ class Evidence:
                 for panel in self.panels
             ],
         })  # fmt: skip
+        return told
 
 
 @dataclass(frozen=True)

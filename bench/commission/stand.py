@@ -166,7 +166,7 @@ class Stand:
         """A d current that grows in steps, for a rotor that comes with it."""
         for share in np.linspace(first, last, steps):
             self.current(float(share))
-            self.rig.wait(seconds / steps)
+            self.wait(seconds / steps)
 
     @contextmanager
     def square(self, axis: str, amplitude: float, periods: int) -> Iterator[None]:
@@ -178,17 +178,24 @@ class Stand:
 
     def run(self, seconds: float, kind: str = "") -> Window:
         """The next `seconds`, as a window. Raises Refused where more flows than was agreed to, or samples are lost."""
-        self.rig.drive.node.watch_setpoints()
-        window = self._window(self.rig.record(seconds), kind)
+        self._follow()
+        return self._checked(self._window(self.rig.record(seconds), kind))
+
+    def _checked(self, window: Window) -> Window:
         most = float(np.abs(window.i).max(initial=0.0))
         if most > BEYOND * self.i_max + 6.0 * self.noise and self.noise:
             raise Refused(self.step, f"{most:.3g} A flowed, and {self.i_max:g} A were agreed to: switched off")
         return window
 
+    def look(self, seconds: float) -> Window:
+        """The same as the link carries it, whatever its rate: to see whether a current flows."""
+        self._follow()
+        return self._checked(self._window(self.rig.streamed(seconds), ""))
+
     def wait(self, seconds: float) -> None:
         """Let it go on for so long."""
         self.rig.wait(seconds)
-        self.rig.drive.node.watch_setpoints()
+        self._follow()
 
     def _window(self, capture: Capture, kind: str) -> Window:
         if capture.dropped:
@@ -223,13 +230,16 @@ def window_of(capture: Capture, T: float, offsets: Floats, kind: str) -> Window:
     samples, edges = capture.samples, capture.edges
     tick = samples.tick
     per = (tick[-1] - tick[0]) / max(int(samples.index[-1] - samples.index[0]), 1) or 1.0
+    theta = None
+    if WITH_ENCODER in capture:
+        theta = capture[WITH_ENCODER]
     status = samples.raw["status"].astype(np.int64)
     return Window(
         T=T,
         i=np.stack([capture[name] for name in ("i_a", "i_b", "i_c")]) - offsets[:, None],
         u=np.asarray(capture["u_alpha"] + 1j * capture["u_beta"]),
         u_dc=capture["u_dc"],
-        theta=capture[WITH_ENCODER] if WITH_ENCODER in capture else None,
+        theta=theta,
         control=capture["theta_ctrl"],
         index=samples.index,
         cycle=(status & Status.INJECTION_SYNC) != 0,
@@ -241,4 +251,3 @@ def window_of(capture: Capture, T: float, offsets: Floats, kind: str) -> Window:
         ),
         kind=kind,
     )
-

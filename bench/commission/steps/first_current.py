@@ -60,7 +60,9 @@ class Level:
     def vector(self) -> complex:
         """A, in the frame of the angle."""
         a, b, c = self.i
-        return complex((2 * a - b - c) / 3, (b - c) / math.sqrt(3)) * complex(math.cos(self.angle), -math.sin(self.angle))
+        return complex((2 * a - b - c) / 3, (b - c) / math.sqrt(3)) * complex(
+            math.cos(self.angle), -math.sin(self.angle)
+        )
 
 
 def level(window: Window, angle: float, u: float) -> Level:
@@ -166,7 +168,7 @@ def _look(
             stand.voltage(0.0)
             return False
         stand.voltage(u)
-        window = stand.run(PAUSE, "forced")
+        window = stand.look(PAUSE)
         now = complex(window.dq[len(window) // 2 :].mean())
         steps.append((angle, u, now.real))
         flows = flows or abs(now) > SOME * stand.i_max
@@ -211,5 +213,3 @@ def announcement(stand: Stand) -> str:
         f"a voltage in small steps at three angles until {ENOUGH * stand.i_max:.3g} A flow; the shaft jumps into place "
         "each time, by less than an electrical turn"
     )
-
-

@@ -4,9 +4,9 @@ The d current keeps all phase currents from changing their sign, so that the dea
 cycles the mean is taken, and of it the least squares of L (i[n] - i[n-1]) / T = u[n] - R i - c, without the interval
 after each switch of the voltage, in which a current that is sampled late would be part of both slopes.
 
-A q current rocks the rotor, whose back-EMF takes something off L_q, K q: K = 1.5 n_p^2 psi^2 / J, and q, the mean square
-of the current over that of its slope, follows from each cycle as measured. The two rates differ in q, so K is fitted
-beside L_q as long as nobody knows J; once J and psi are known, `rocking_of` gives it.
+A q current rocks the rotor, whose back-EMF takes something off L_q, K q: K = 1.5 n_p^2 psi^2 / J, and q, the mean
+square of the current over that of its slope, follows from each cycle as measured. The two rates differ in q, so K is
+fitted beside L_q as long as nobody knows J; once J and psi are known, `rocking_of` gives it.
 """
 
 from __future__ import annotations
@@ -109,9 +109,7 @@ def slope(wave: Wave, R: float, gains: Floats) -> Slope:
         raise Refused(STEP, f"cycles of the test signal are not {2 * half} PWM periods long, or too few came")
     n = len(begins) - 1
     rows = slice(int(begins[0]), int(begins[0]) + n * 2 * half)
-    current, before, volts = (
-        np.asarray(x[rows]).reshape(n, 2 * half) for x in (i, np.roll(i, 1), u)
-    )
+    current, before, volts = (np.asarray(x[rows]).reshape(n, 2 * half) for x in (i, np.roll(i, 1), u))
     spread = current - current.mean(axis=0)
     variance = float((spread**2).sum() / max((n - 1) * 2 * half, 1))
     whole = _of_cycle(current.mean(0), before.mean(0), volts.mean(0), R, window.T, variance / n)
@@ -221,7 +219,8 @@ def analyse(
         figures |= {f"L_{key}": each.L, f"sd_{key}": each.sd, f"ripple_{key}": each.ripple}
     line = np.linspace(0.0, max(BIASES) * i_max, 60)
     first = next(iter(LAWS.values()))
-    measured, residuals = {}, {}
+    measured: dict[str, tuple[Floats, Floats]] = {}
+    residuals: dict[str, tuple[Floats, Floats]] = {}
     for name, axis, own in (("L_d", d, by_axis["u_d"]), ("L_q", q, by_axis["u_q"])):
         bias = np.array([s.bias for s in own])
         model = axis.fitted.x[0] * first(axis.fitted.x[1], (line / i_max) ** 2)

@@ -63,9 +63,9 @@ def analyse(window: Window, i_max: float) -> Offsets:
     for name, offset, sd in zip("abc", offsets, scatter, strict=True):
         found.append(Quantity(f"offset_{name}", "A", float(offset), {"noise": float(sd) / math.sqrt(n)}, amperes=0.0))
     found.append(Quantity("noise", "A", noise, {"noise": noise / math.sqrt(6.0 * n)}))
-    t = 1e3 * window.T * np.arange(n)
+    t: Floats = 1e3 * window.T * np.arange(n, dtype=float)
     shown = slice(0, min(n, 800))
-    currents = {f"phase {name}": (t[shown], window.i[k][shown]) for k, name in enumerate("abc")}
+    currents = {f"phase {name}": (t[shown], np.asarray(window.i[k][shown])) for k, name in enumerate("abc")}
     panel = Panel("time", "ms", "current, outputs off", "A", currents)
     evidence = Evidence("Offsets and noise of the current sensors", (panel,), {"samples": float(n)})
     return Offsets(offsets, noise, u_dc, Outcome(tuple(found), evidence))

@@ -20,7 +20,7 @@ from bench.commission.outcome import Evidence, Outcome, Panel
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.stand import Stand
-from bench.commission.window import Floats, Window, clarke
+from bench.commission.window import Booleans, Floats, Window, clarke
 
 STEP = "resistance"
 ANGLES = (0.0, 2.0 * math.pi / 3.0, -2.0 * math.pi / 3.0)
@@ -36,6 +36,8 @@ BLOCKS = 6
 """Parts of a window, whose scatter weighs it."""
 LEAST_SD = 2e-4
 """V: what the mean of a window is known to at best."""
+RESTLESS = 6.0
+"""Times the usual scatter within a window from which its rotor was not at rest yet: it is left out."""
 FLOOR_R, FLOOR_U = 1e-3, 2.5e-3
 """Standard deviations that the method leaves, relative."""
 FLOOR_NOISE = 0.11
@@ -110,7 +112,11 @@ def analyse(held: Sequence[Held], i_max: float, noise: float) -> Winding:
     of = _means(held)
     gains, gains_sd = mismatch(of.phases)
     i = np.asarray((clarke((of.phases / gains).T) * np.exp(-1j * of.angle)).real)
-    full = i > FULL * i_max
+    usual = max(float(np.median(of.sd)), LEAST_SD)
+    still = of.sd < RESTLESS * usual
+    if still.mean() < 0.5:
+        raise Refused(STEP, "the rotor does not come to rest: hold the shaft, or take off what swings on it")
+    full = (i > FULL * i_max) & still
     A = np.stack([i, np.ones_like(i), i * of.heat], axis=1)
     weights = 1.0 / np.maximum(of.sd, LEAST_SD)
     try:
@@ -123,7 +129,11 @@ def analyse(held: Sequence[Held], i_max: float, noise: float) -> Winding:
     sd = found.sd * found.inflation()
     u_dc, T = float(of.u_dc.mean()), held[0].window.T
     by_noise = FLOOR_NOISE * noise / i_max
-    parts = {"noise": float(sd[0]), "method": R * math.hypot(FLOOR_R, by_noise), "angles": _by_angle(of, i, full, found)}
+    parts = {
+        "noise": float(sd[0]),
+        "method": R * math.hypot(FLOOR_R, by_noise),
+        "angles": _by_angle(of, i, full, found),
+    }
     U = 0.75 * offset
     U_parts = {"noise": 0.75 * float(sd[1]), "method": abs(U) * FLOOR_U + by_noise * R * FULL * i_max}
     to_time = T / u_dc
@@ -137,6 +147,7 @@ def analyse(held: Sequence[Held], i_max: float, noise: float) -> Winding:
     )  # fmt: skip
     figures = {
         "R": R, "offset": offset, "warming": warming, "heat": heated, "warmed_by": warming * heated / R,
+        "windows": float(len(held)), "windows_at_rest": float(still.sum()),
         "inflation": found.inflation(), "naive_R": R + offset / (0.5 * i_max),
         **{f"sd_{name}": float(s) for name, s in zip(("R", "offset", "warming"), sd, strict=True)},
     }  # fmt: skip
@@ -144,14 +155,15 @@ def analyse(held: Sequence[Held], i_max: float, noise: float) -> Winding:
     return Winding(R, gains, max(U, 0.0) * to_time, Outcome(quantities, evidence, tuple(_remarks(figures))))
 
 
-def _by_angle(of: _Levels, i: Floats, full: Floats, found: Fit) -> float:
+def _by_angle(of: _Levels, i: Floats, full: Booleans, found: Fit) -> float:
     """Ohm: what R scatters by from angle to angle, as one of their mean."""
     rest = of.u - np.stack([i, np.ones_like(i), i * of.heat], axis=1) @ found.x
+    weights = 1.0 / np.maximum(of.sd, LEAST_SD)
     slopes = []
     for angle in np.unique(np.round(of.angle, 3)):
         own = full & (np.abs(of.angle - angle) < 0.01)
         if int(own.sum()) > 3:
-            slopes.append(fit(np.stack([i[own], np.ones(int(own.sum()))], axis=1), rest[own]).x[0])
+            slopes.append(fit(np.stack([i[own], np.ones(int(own.sum()))], axis=1), rest[own], weights[own]).x[0])
     return float(np.std(slopes, ddof=1)) / math.sqrt(len(slopes)) if len(slopes) > 1 else 0.0
 
 
@@ -165,7 +177,7 @@ def _remarks(figures: dict[str, float]) -> list[str]:
     return remarks
 
 
-def _panels(of: _Levels, i: Floats, full: Floats, found: Fit) -> tuple[Panel, ...]:
+def _panels(of: _Levels, i: Floats, full: Booleans, found: Fit) -> tuple[Panel, ...]:
     R, offset, warming = found.x
     order = np.argsort(i)
     line = np.array([0.0, float(i.max())])
