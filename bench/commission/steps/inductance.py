@@ -4,6 +4,10 @@ The d current keeps all phase currents from changing their sign, so that the dea
 cycles the mean is taken, and of it the least squares of L (i[n] - i[n-1]) / T = u[n] - R i - c, without the interval
 after each switch of the voltage, in which a current that is sampled late would be part of both slopes.
 
+A link that gives way sinks while the square wave takes power, that is, beside a d current on the d axis, and the drive
+sets its duties by the link as it was some periods before. So what lay on the winding is the reference times the link's
+mean over that period, over the link at the sample by which the duties were computed, one period before it began.
+
 A q current rocks the rotor, whose back-EMF takes something off L_q, K q: K = 1.5 n_p^2 psi^2 / J, and q, the mean
 square of the current over that of its slope, follows from each cycle as measured. The two rates differ in q, so K is
 fitted beside L_q as long as nobody knows J; once J and psi are known, `rocking_of` gives it.
@@ -45,6 +49,8 @@ BLOCKS = 6
 """Parts of a window, whose scatter is the noise of L."""
 FLOOR = 2.5e-3
 """Standard deviation of one L that the method leaves, relative."""
+LINK = 0.3
+"""Standard deviation of the correction for a link that gives way, as a share of it: when a drive takes its sample."""
 FLOOR_Q = 3e-3
 """And of L_q without a current, besides."""
 FLOOR_NOISE = 0.2
@@ -77,6 +83,8 @@ class Slope:
     """H, by the scatter of the cycles."""
     ripple: float
     """A, peak to peak."""
+    link: float
+    """H: how much of L is the correction for a link that gives way."""
 
 
 @dataclass(frozen=True)
@@ -104,22 +112,25 @@ def slope(wave: Wave, R: float, gains: Floats) -> Slope:
     i = np.asarray(part(clarke(window.i / gains[:, None]) * turn))
     u = np.asarray(part(window.u * turn))
     begins = np.flatnonzero(window.cycle)
-    begins = begins[begins >= 1]
+    begins = begins[begins >= 2]
     if len(begins) < 2 * BLOCKS or np.any(np.diff(begins) != 2 * half):
         raise Refused(STEP, f"cycles of the test signal are not {2 * half} PWM periods long, or too few came")
     n = len(begins) - 1
     rows = slice(int(begins[0]), int(begins[0]) + n * 2 * half)
-    current, before, volts = (np.asarray(x[rows]).reshape(n, 2 * half) for x in (i, np.roll(i, 1), u))
+    link = 0.5 * (window.u_dc + np.roll(window.u_dc, 1)) / np.roll(window.u_dc, 2)
+    cut = (np.asarray(x[rows]).reshape(n, 2 * half) for x in (i, np.roll(i, 1), u * link, u))
+    current, before, volts, reference = cut
     spread = current - current.mean(axis=0)
     variance = float((spread**2).sum() / max((n - 1) * 2 * half, 1))
     whole = _of_cycle(current.mean(0), before.mean(0), volts.mean(0), R, window.T, variance / n)
+    stiff = _of_cycle(current.mean(0), before.mean(0), reference.mean(0), R, window.T, variance / n)
     pieces = [
         _of_cycle(current[k].mean(0), before[k].mean(0), volts[k].mean(0), R, window.T, variance / len(k))[0]
         for k in np.array_split(np.arange(n), BLOCKS)
     ]
     sd = float(np.std(pieces, ddof=1)) / math.sqrt(BLOCKS)
     mean = current.mean(0)
-    return Slope(wave.axis, half, wave.bias, whole[0], whole[1], sd, float(mean.max() - mean.min()))
+    return Slope(wave.axis, half, wave.bias, whole[0], whole[1], sd, float(mean.max() - mean.min()), whole[0] - stiff[0])
 
 
 def _of_cycle(i: Floats, before: Floats, u: Floats, R: float, T: float, variance: float) -> tuple[float, float]:
@@ -168,6 +179,7 @@ def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[floa
     name = "L_q" if q_axis else "L_d"
     raw, q, bias, noise = (np.array([getattr(s, key) for s in slopes]) for key in ("L", "q", "bias", "sd"))
     sd = np.hypot(noise, floor * raw)
+    link = np.array([LINK * abs(s.link) for s in slopes])
     y = (bias / i_max) ** 2
     fits_K = q_axis and known is None
     given = 0.0 if known is None or not q_axis else known[0]
@@ -184,6 +196,7 @@ def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[floa
     L = raw + K * q
     value = float(best.x[0])
     parts = {"fit": float(best.sd[0]), "extrapolation": law, "method": (FLOOR_Q * value if q_axis else 0.0)}
+    parts["weak link"] = float(link.max())
     if by_K:
         parts["rocking rotor"] = by_K
     zero = Quantity(name, "H", value, parts, volts=1.0, amperes=-1.0)
@@ -193,6 +206,7 @@ def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[floa
     halves = {
         "noise": float(np.sqrt(np.mean(noise[own] ** 2) / own.sum())),
         "method": floor * mean / math.sqrt(2.0),
+        "weak link": float(link[own].mean()),
         "rates": 0.5 * float(L[own].max() - L[own].min()) / math.sqrt(2.0),
     }
     if q_axis:
