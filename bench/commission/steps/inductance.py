@@ -130,7 +130,9 @@ def slope(wave: Wave, R: float, gains: Floats) -> Slope:
     ]
     sd = float(np.std(pieces, ddof=1)) / math.sqrt(BLOCKS)
     mean = current.mean(0)
-    return Slope(wave.axis, half, wave.bias, whole[0], whole[1], sd, float(mean.max() - mean.min()), whole[0] - stiff[0])
+    return Slope(
+        wave.axis, half, wave.bias, whole[0], whole[1], sd, float(mean.max() - mean.min()), whole[0] - stiff[0]
+    )
 
 
 def _of_cycle(i: Floats, before: Floats, u: Floats, R: float, T: float, variance: float) -> tuple[float, float]:
@@ -146,7 +148,7 @@ def _of_cycle(i: Floats, before: Floats, u: Floats, R: float, T: float, variance
     di, y, charge = di - di.mean(), y - y.mean(), charge[used] - charge[used].mean()
     noise = 2.0 * variance / T**2 * int(used.sum())
     power = float(di @ di) - noise
-    if power <= 0.0:
+    if power <= noise:
         raise Refused(STEP, "the test signal moves the current by less than the noise: agree to more current")
     L, q = float(di @ y) / power, -float(di @ charge) / power
     x = 0.5 * R * T / L
