@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k"}
 _TITLES = {
-    "u_dc": "link voltage", "noise": "noise of a current sensor", "R_s": "resistance of a phase",
+    "u_dc": "DC link voltage", "noise": "noise of a current sensor", "R_s": "resistance of a phase",
     "U_dead": "dead time's volts", "t_dead": "dead time, effective", "L_d": "L_d without current",
     "L_q": "L_q without current", "L_d_half": "L_d at half the current", "L_q_half": "L_q at half the current",
     "R_rough": "resistance, rough", "L_rough": "inductance, rough",

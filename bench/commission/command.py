@@ -139,7 +139,7 @@ def commission(options: Options, screen: Screen, confirm: Callable[[str], bool] 
             screen.note(words)
             if step.energises and not agreed and number and steps[number - 1].energises:
                 rig.ask(f"{step.name} with up to {i_max:g} A: if that may go on")
-            screen.progress(words)
+            screen.progress(step.name)
             if not _take(rig, stand, step, done, partial(_write, options.report)):
                 break
         done.seconds = (rig.tick() - began) / rig.recorder.tick_hz

@@ -135,7 +135,7 @@ class Stand:
         hint = {
             "OVERCURRENT": "a winding has a short, or the current loop is unstable",
             "UNDERVOLTAGE": "the supply limits its current, or is switched off",
-            "OVERVOLTAGE": "the motor feeds the link, which nothing takes the energy of",
+            "OVERVOLTAGE": "the motor feeds the DC link, which nothing takes the energy of",
             "OVERLOAD": "the winding is not meant for this current: lower --current, or check i_cont and i2t_max",
         }
         reasons = [hint[name] for name in faults if name in hint]

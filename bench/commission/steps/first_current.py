@@ -26,7 +26,7 @@ ENOUGH = 0.3
 TOO_MUCH = 0.6
 """Share of it that ends it, whatever its direction."""
 SMALL, SMALLER = 0.003, 0.001
-"""Steps of the voltage as shares of the link's, before a current flows and after."""
+"""Steps of the voltage as shares of the DC link's, before a current flows and after."""
 SOME = 0.1
 """Share of the agreed current that counts as one."""
 HIGHEST = 0.95
@@ -211,5 +211,5 @@ def announcement(stand: Stand) -> str:
     """What will be done."""
     return (
         f"a voltage in small steps at three angles until {ENOUGH * stand.i_max:.3g} A flow; the shaft jumps into place "
-        "each time, by less than an electrical turn"
+        "each time, by less than an electrical revolution"
     )

@@ -4,9 +4,10 @@ The d current keeps all phase currents from changing their sign, so that the dea
 cycles the mean is taken, and of it the least squares of L (i[n] - i[n-1]) / T = u[n] - R i - c, without the interval
 after each switch of the voltage, in which a current that is sampled late would be part of both slopes.
 
-A link that gives way sinks while the square wave takes power, that is, beside a d current on the d axis, and the drive
-sets its duties by the link as it was some periods before. So what lay on the winding is the reference times the link's
-mean over that period, over the link at the sample by which the duties were computed, one period before it began.
+A DC link that gives way sinks while the square wave takes power, that is, beside a d current on the d axis, and the
+drive sets its duties by the voltage that it had some periods before. So what lay on the winding is the reference times
+the DC link's mean over that period, over what it was at the sample by which the duties were computed, one period before
+it began.
 
 A q current rocks the rotor, whose back-EMF takes something off L_q, K q: K = 1.5 n_p^2 psi^2 / J, and q, the mean
 square of the current over that of its slope, follows from each cycle as measured. The two rates differ in q, so K is
@@ -50,7 +51,7 @@ BLOCKS = 6
 FLOOR = 2.5e-3
 """Standard deviation of one L that the method leaves, relative."""
 LINK = 0.3
-"""Standard deviation of the correction for a link that gives way, as a share of it: when a drive takes its sample."""
+"""Standard deviation of the correction for a DC link that gives way, as a share of it: drives sample it otherwise."""
 FLOOR_Q = 3e-3
 """And of L_q without a current, besides."""
 FLOOR_NOISE = 0.2
@@ -84,7 +85,7 @@ class Slope:
     ripple: float
     """A, peak to peak."""
     link: float
-    """H: how much of L is the correction for a link that gives way."""
+    """H: how much of L is the correction for a DC link that gives way."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +199,7 @@ def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[floa
     L = raw + K * q
     value = float(best.x[0])
     parts = {"fit": float(best.sd[0]), "extrapolation": law, "method": (FLOOR_Q * value if q_axis else 0.0)}
-    parts["weak link"] = float(link.max())
+    parts["weak DC link"] = float(link.max())
     if by_K:
         parts["rocking rotor"] = by_K
     zero = Quantity(name, "H", value, parts, volts=1.0, amperes=-1.0)
@@ -208,7 +209,7 @@ def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[floa
     halves = {
         "noise": float(np.sqrt(np.mean(noise[own] ** 2) / own.sum())),
         "method": floor * mean / math.sqrt(2.0),
-        "weak link": float(link[own].mean()),
+        "weak DC link": float(link[own].mean()),
         "rates": 0.5 * float(L[own].max() - L[own].min()) / math.sqrt(2.0),
     }
     if q_axis:

@@ -1,4 +1,4 @@
-"""Step 0: what the current sensors show without a current, how they scatter, and the link voltage. Outputs are off."""
+"""Step 0, outputs off: what the current sensors show without a current, how they scatter, and the DC link voltage."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def analyse(window: Window, i_max: float) -> Offsets:
             )  # fmt: skip
     u_dc = float(window.u_dc.mean())
     if u_dc <= 0.0:
-        raise Refused(STEP, f"the link voltage reads {u_dc:.3g} V: switch the supply on")
+        raise Refused(STEP, f"the DC link voltage reads {u_dc:.3g} V: switch the supply on")
     n = len(window)
     blocks = window.u_dc[: n // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
     found = [Quantity("u_dc", "V", u_dc, {"noise": float(blocks.std(ddof=1)) / math.sqrt(BLOCKS)}, volts=1.0)]
@@ -82,4 +82,4 @@ def perform(stand: Stand) -> Outcome:
 
 def announcement(stand: Stand) -> str:
     """What will be done."""
-    return f"outputs off, {SECONDS:g} s: offsets and noise of the current sensors, link voltage"
+    return f"outputs off, {SECONDS:g} s: offsets and noise of the current sensors, DC link voltage"

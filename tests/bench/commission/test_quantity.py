@@ -28,7 +28,7 @@ def test_the_absolute_interval_is_that_of_drives_with_drawn_gains(volts: float, 
 def test_the_largest_part_is_named() -> None:
     quantity = Quantity("psi_f", "V s", 0.01, {"noise": 1e-6, "method": 3e-5}, volts=1.0)
     assert quantity.dominated_by == "method"
-    assert quantity.absolutely_dominated_by(Converters()) == "gain of the link voltage"
+    assert quantity.absolutely_dominated_by(Converters()) == "gain of the DC link voltage"
     assert quantity.absolutely_dominated_by(Converters(volts=1e-4)) == "method"
     assert Quantity("n_p", "1", 6.0).dominated_by == ""
     assert Quantity("n_p", "1", 6.0).covers(6.0)
