@@ -33,6 +33,8 @@ BEYOND = 1.15
 """Times the agreed current above which a window ends the step."""
 FASTEST_TURN = math.tau
 """rad/s with which the made angle moves at rest."""
+COOLING = np.array([math.inf, 60.0, 30.0, 15.0, 8.0, 4.0])
+"""s: times with which a winding may cool; which it is, the measurement of R tells."""
 GENTLE = {"bw_current": 0.0, "R_s_hat": 0.0, "L_s_hat": 0.0, "psi_f_hat": 0.0, "dead_time_comp": 0.0}
 """Parameters that are as small as the drive allows while nothing is known: its current loop does next to nothing."""
 
@@ -65,8 +67,8 @@ class Stand:
         """Ohm and henry, as well as they are known; nan before the first current."""
         self.dead_time = 0.0
         """s, the effective one, once it is known."""
-        self.heat = 0.0
-        """A2 s of the current's amplitude so far."""
+        self.heats: Floats = np.zeros(len(COOLING))
+        """A2 s of the current's amplitude so far, as a winding keeps it that cools with each of the times COOLING."""
         self._heated = -1  # tick up to which it is counted
         self._asked = 0.0  # A, the amplitude of the current that was last asked for
         if rig.rate < rig.drive.node.identity.pwm_hz * (1 - 1e-9):
@@ -204,11 +206,17 @@ class Stand:
         first, last = int(capture.samples.tick[0]), int(capture.samples.tick[-1])
         if self._heated >= 0:
             between = max(first - self._heated, 0) / self.rig.recorder.tick_hz
-            self.heat += between * self._mean_square(self._heated, first)
+            self._warm(self._mean_square(self._heated, first), between)
         own = max(float(np.mean(np.abs(window.current) ** 2)) - self._square_of_noise, 0.0)
-        self.heat += own * window.seconds
+        self._warm(own, window.seconds)
         self._heated = last
         return replace(window, i_ref=complex(self._asked, 0.0))
+
+    def _warm(self, square: float, seconds: float) -> None:
+        """A current of this mean square (A2) flows for so long."""
+        share = -np.expm1(-seconds / COOLING)  # of the heat that has left
+        kept = np.where(np.isinf(COOLING), seconds, np.where(np.isinf(COOLING), 1.0, COOLING) * share)
+        self.heats = self.heats * (1.0 - share) + square * kept
 
     @property
     def _square_of_noise(self) -> float:

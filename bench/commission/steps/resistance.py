@@ -1,10 +1,12 @@
 """Step 2: resistance, and the volts that the dead time takes, told apart.
 
-A d current in steps, up and down, at three angles. Where no phase is near zero, u = R i + 4/3 U + c i E: the vector of
-the signs of three phase currents is 4/3 along the current, U is what the dead time and the switches take of a phase,
-and E, the square of the current added up since the first one, is the heat in the winding, which goes out with it. So R
-is that of the winding as it was before anything had flown. What the currents' sum is not zero by tells the gains of the
-three sensors apart, but for their mean.
+A d current in steps, at three angles upwards and back at the same three downwards. Where no phase is near zero,
+u = R i + 4/3 U + c i E: the vector of the signs of three phase currents is 4/3 along the current, U is what the dead
+time and the switches take of a phase, and E, the square of the current added up since the first one, less what has
+cooled, is the heat in the winding, which goes out with it. So R is that of the winding as it was before anything had
+flown. How fast a winding cools nobody knows: each of some times is fitted, and counts as much as its residuals allow.
+Each angle has an R and a U of its own, because sensors that drift would else be taken for a winding that warms. What
+the currents' sum is not zero by tells the gains of the three sensors apart, but for their mean.
 """
 
 from __future__ import annotations
@@ -19,13 +21,15 @@ from bench.commission.least_squares import Fit, fit
 from bench.commission.outcome import Evidence, Outcome, Panel
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
-from bench.commission.stand import Stand
-from bench.commission.window import Booleans, Floats, Window, clarke
+from bench.commission.stand import COOLING, Stand
+from bench.commission.window import Booleans, Floats, Integers, Window, clarke
 
 STEP = "resistance"
 ANGLES = (0.0, 2.0 * math.pi / 3.0, -2.0 * math.pi / 3.0)
 LEVELS = np.concatenate([np.geomspace(0.01, 0.2, 9), np.linspace(0.28, 0.75, 6)])
 """Currents as shares of the agreed one."""
+PASSES = (*((angle, LEVELS) for angle in ANGLES), *((angle, LEVELS[::-1]) for angle in ANGLES[::-1]))
+"""Angle by angle, and the same way back: what drifts meanwhile is then not taken for what warms."""
 ALIGNED = 0.5
 """The share with which the rotor is brought to the angle."""
 FULL = 0.25
@@ -36,7 +40,9 @@ BLOCKS = 6
 """Parts of a window, whose scatter weighs it."""
 LEAST_SD = 2e-4
 """V: what the mean of a window is known to at best."""
-RESTLESS = 6.0
+ENOUGH = 5
+"""Windows at rest that an angle needs, to count."""
+RESTLESS = 12.0
 """Times the usual scatter within a window from which its rotor was not at rest yet: it is left out."""
 FLOOR_R, FLOOR_U = 1e-3, 2.5e-3
 """Standard deviations that the method leaves, relative."""
@@ -46,10 +52,11 @@ FLOOR_NOISE = 0.11
 
 @dataclass(frozen=True)
 class Held:
-    """A window at a level, and the heat in the middle of it, A2 s."""
+    """A window at a level, and the heat in the middle of it, A2 s, for each time with which the winding may cool."""
 
     window: Window
-    heat: float
+    heat: Floats
+    """Shape (m,); the first without cooling."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +80,23 @@ class _Levels:
     phases: Floats
     u: Floats
     sd: Floats
-    heat: Floats
+    heats: Floats
+    """A2 s, shape (n, m)."""
     u_dc: Floats
+
+    @property
+    def place(self) -> Integers:
+        """Which of the angles each has, shape (n,)."""
+        return np.asarray(np.unique(np.round(self.angle, 2), return_inverse=True)[1])
+
+    def angles(self, used: Booleans) -> Integers:
+        """Those that have enough windows among the used ones."""
+        return np.flatnonzero(np.bincount(self.place[used]) >= ENOUGH)
+
+    def columns(self, i: Floats, heat: Floats, angles: Integers) -> Floats:
+        """Of the equations: each angle's R and volts at no current, and the warming, which all share."""
+        own = (self.place[:, None] == angles).astype(float)
+        return np.hstack([own * i[:, None], own, (i * heat)[:, None]])
 
 
 def _means(held: Sequence[Held]) -> _Levels:
@@ -117,27 +139,34 @@ def analyse(held: Sequence[Held], i_max: float, noise: float) -> Winding:
     if still.mean() < 0.5:
         raise Refused(STEP, "the rotor does not come to rest: hold the shaft, or take off what swings on it")
     full = (i > FULL * i_max) & still
-    A = np.stack([i, np.ones_like(i), i * of.heat], axis=1)
-    weights = 1.0 / np.maximum(of.sd, LEAST_SD)
-    try:
-        found = fit(A[full], of.u[full], weights[full])
-    except ValueError as error:
-        raise Refused(STEP, f"the levels of current do not tell R: {error}") from None
-    R, offset, warming = (float(x) for x in found.x)
+    full &= np.isin(of.place, of.angles(full))
+    if not full.any():
+        raise Refused(STEP, f"the levels of current do not tell R: too few are above {FULL * i_max:.3g} A, at rest")
+    models = _coolings(of, i, full)
+    shares = np.array([model.share for model in models])
+    likely = models[int(np.argmax(shares))]
+    found, heat, n = likely.fit, likely.heat, len(of.angles(full))
+    each = np.array([[model.fit.x[:n].mean(), model.fit.x[n : 2 * n].mean()] for model in models])
+    R, offset = (float(x) for x in shares @ each)
+    heating, heating_offset = (float(x) for x in np.sqrt(shares @ (each - [R, offset]) ** 2))
     if R <= 0.0:
         raise Refused(STEP, f"the voltage falls where the current grows ({R:.3g} ohm): check the phases' wires")
-    sd = found.sd * found.inflation()
+    warming = float(found.x[-1])
+    means = np.zeros((3, len(found.x)))  # of the angles' slopes, of their volts at no current; and the warming
+    means[0, :n], means[1, n : 2 * n], means[2, -1] = 1.0 / n, 1.0 / n, 1.0
+    sd = np.sqrt(np.diag(means @ found.covariance @ means.T)) * found.inflation()
     u_dc, T = float(of.u_dc.mean()), held[0].window.T
     by_noise = FLOOR_NOISE * noise / i_max
     parts = {
-        "noise": float(sd[0]),
-        "method": R * math.hypot(FLOOR_R, by_noise),
-        "angles": _by_angle(of, i, full, found),
-    }
+        "noise": float(sd[0]), "method": R * math.hypot(FLOOR_R, by_noise),
+        "angles": float(np.std(found.x[:n], ddof=1)) / math.sqrt(n) if n > 1 else 0.0, "heating": heating,
+    }  # fmt: skip
     U = 0.75 * offset
-    U_parts = {"noise": 0.75 * float(sd[1]), "method": abs(U) * FLOOR_U + by_noise * R * FULL * i_max}
+    U_parts = {
+        "noise": 0.75 * float(sd[1]), "method": abs(U) * FLOOR_U + by_noise * R * FULL * i_max,
+        "heating": 0.75 * heating_offset,
+    }  # fmt: skip
     to_time = T / u_dc
-    heated = float(of.heat.max())
     quantities = (
         Quantity("R_s", "Ω", R, parts, volts=1.0, amperes=-1.0),
         Quantity("U_dead", "V", U, U_parts, volts=1.0),
@@ -146,25 +175,44 @@ def analyse(held: Sequence[Held], i_max: float, noise: float) -> Winding:
           for name, gain, s in zip("abc", gains, gains_sd, strict=True)),
     )  # fmt: skip
     figures = {
-        "R": R, "offset": offset, "warming": warming, "heat": heated, "warmed_by": warming * heated / R,
+        "R": R, "offset": offset, "warming": warming, "cooling": likely.time, "warmed_by": warming * heat.max() / R,
         "windows": float(len(held)), "windows_at_rest": float(still.sum()),
         "inflation": found.inflation(), "naive_R": R + offset / (0.5 * i_max),
         **{f"sd_{name}": float(s) for name, s in zip(("R", "offset", "warming"), sd, strict=True)},
     }  # fmt: skip
-    evidence = Evidence("Resistance, and the dead time's volts", _panels(of, i, full, found), figures)
+    evidence = Evidence("Resistance, and the dead time's volts", _panels(of, i, full, likely), figures)
     return Winding(R, gains, max(U, 0.0) * to_time, Outcome(quantities, evidence, tuple(_remarks(figures))))
 
 
-def _by_angle(of: _Levels, i: Floats, full: Booleans, found: Fit) -> float:
-    """Ohm: what R scatters by from angle to angle, as one of their mean."""
-    rest = of.u - np.stack([i, np.ones_like(i), i * of.heat], axis=1) @ found.x
+@dataclass(frozen=True)
+class _Cooling:
+    """A fit with one time of cooling, s, and how much it counts among them."""
+
+    time: float
+    heat: Floats
+    fit: Fit
+    share: float
+
+
+def _coolings(of: _Levels, i: Floats, full: Booleans) -> list[_Cooling]:
+    """A fit for each time; its share falls with the sum of its squares over the best one's scatter."""
     weights = 1.0 / np.maximum(of.sd, LEAST_SD)
-    slopes = []
-    for angle in np.unique(np.round(of.angle, 3)):
-        own = full & (np.abs(of.angle - angle) < 0.01)
-        if int(own.sum()) > 3:
-            slopes.append(fit(np.stack([i[own], np.ones(int(own.sum()))], axis=1), rest[own], weights[own]).x[0])
-    return float(np.std(slopes, ddof=1)) / math.sqrt(len(slopes)) if len(slopes) > 1 else 0.0
+    fits = []
+    for heat in of.heats.T:
+        A = of.columns(i, heat, of.angles(full))
+        try:
+            fits.append(fit(A[full], of.u[full], weights[full]))
+        except ValueError as error:
+            raise Refused(STEP, f"the levels of current do not tell R: {error}") from None
+    squares = np.array([float(each.residuals @ each.residuals) for each in fits])
+    scatter = max(float(squares.min()), 1e-300) / max(int(full.sum()) - 4, 1)
+    shares = np.exp(-0.5 * (squares - squares.min()) / scatter)
+    shares = shares / shares.sum()
+    times = COOLING[: len(fits)]
+    return [
+        _Cooling(float(time), heat, each, float(share))
+        for time, heat, each, share in zip(times, of.heats.T, fits, shares, strict=True)
+    ]
 
 
 def _remarks(figures: dict[str, float]) -> list[str]:
@@ -177,17 +225,18 @@ def _remarks(figures: dict[str, float]) -> list[str]:
     return remarks
 
 
-def _panels(of: _Levels, i: Floats, full: Booleans, found: Fit) -> tuple[Panel, ...]:
-    R, offset, warming = found.x
+def _panels(of: _Levels, i: Floats, full: Booleans, likely: _Cooling) -> tuple[Panel, ...]:
+    x, n = likely.fit.x, (len(likely.fit.x) - 1) // 2
+    R, offset, warming = float(x[:n].mean()), float(x[n : 2 * n].mean()), float(x[-1])
     order = np.argsort(i)
     line = np.array([0.0, float(i.max())])
-    cold = of.u - warming * i * of.heat
+    cold = of.u - warming * i * likely.heat
     weight = 1.0 / np.maximum(of.sd, LEAST_SD)[full]
     shape = (cold - R * i) / offset if offset else np.zeros_like(i)
     return (
         Panel("d current", "A", "d voltage, heating taken out", "V",
               {"levels": (i[order], cold[order]), "fit": (line, R * line + offset)}),
-        Panel("d current", "A", "residuals", "V", {"levels": (i[full], found.residuals / weight)}),
+        Panel("d current", "A", "residuals", "V", {"levels": (i[full], likely.fit.residuals / weight)}),
         Panel("d current", "A", "dead time's volts, share", "1", {"levels": (i[order], shape[order])}),
     )  # fmt: skip
 
@@ -196,17 +245,16 @@ def perform(stand: Stand) -> Outcome:
     """Hold the levels, and tell the stand and the drive's current loop what follows."""
     held: list[Held] = []
     with stand.running(STEP):
-        for angle in ANGLES:
+        for angle, shares in PASSES:
             stand.turn_to(angle)
             stand.ramp(0.1 * stand.i_max, ALIGNED * stand.i_max, 0.24)
             stand.wait(0.25)
-            for share in (*LEVELS, *LEVELS[::-1]):
+            for share in shares:
                 stand.current(float(share) * stand.i_max)
                 stand.wait(SETTLE)
-                before = stand.heat
                 window = stand.run(MEASURE, "forced")
                 own = float(np.mean(np.abs(window.current) ** 2)) * window.seconds
-                held.append(Held(window, max(stand.heat - 0.5 * own, before)))
+                held.append(Held(window, stand.heats - 0.5 * own))
             stand.current(0.0)
             stand.wait(0.02)
     found = analyse(held, stand.i_max, stand.noise)
@@ -220,5 +268,5 @@ def announcement(stand: Stand) -> str:
     most = LEVELS.max() * stand.i_max
     return (
         f"{len(LEVELS)} levels of d current up to {most:.3g} A, up and down, at three angles, "
-        f"about {len(ANGLES) * (2 * len(LEVELS) * (SETTLE + MEASURE) + 0.9):.0f} s; the shaft moves to each angle"
+        f"about {len(PASSES) * (len(LEVELS) * (SETTLE + MEASURE) + 0.9):.0f} s; the shaft moves to each angle"
     )
