@@ -48,7 +48,7 @@ LEAD = 0.03
 """s before it."""
 BLOCKS = 6
 """Parts of a window, whose scatter is the noise of L."""
-FLOOR = 2.5e-3
+FLOOR = 3e-3
 """Standard deviation of one L that the method leaves, relative."""
 LINK = 0.3
 """Standard deviation of the correction for a DC link that gives way, as a share of it: drives sample it otherwise."""

@@ -1,6 +1,6 @@
 """Step 2: resistance, and the volts that the dead time takes, told apart.
 
-A d current in steps, at three angles upwards and back at the same three downwards. Where no phase is near zero,
+A d current in steps, at three angles and, on the way back, at the same three again. Where no phase is near zero,
 u = R i + 4/3 U + c i E: the vector of the signs of three phase currents is 4/3 along the current, U is what the dead
 time and the switches take of a phase, and E, the square of the current added up since the first one, less what has
 cooled, is the heat in the winding, which goes out with it. So R is that of the winding as it was before anything had
@@ -28,14 +28,18 @@ STEP = "resistance"
 ANGLES = (0.0, 2.0 * math.pi / 3.0, -2.0 * math.pi / 3.0)
 LEVELS = np.concatenate([np.geomspace(0.01, 0.2, 9), np.linspace(0.28, 0.75, 6)])
 """Currents as shares of the agreed one."""
-PASSES = (*((angle, LEVELS) for angle in ANGLES), *((angle, LEVELS[::-1]) for angle in ANGLES[::-1]))
-"""Angle by angle, and the same way back: what drifts meanwhile is then not taken for what warms."""
+PASSES = (*ANGLES, *ANGLES[::-1])
+"""The angles and the same way back: what drifts meanwhile is then not taken for what warms."""
 ALIGNED = 0.5
 """The share with which the rotor is brought to the angle."""
 FULL = 0.25
 """Share of the agreed current from which the dead time's volts do not change any more."""
 SETTLE, MEASURE = 0.012, 0.03
 """s of each level."""
+LOOK, LONGEST = 0.1, 1.5
+"""s in which a rotor that swings is looked at, and for which it is waited for at most."""
+AT_REST = 1e-3
+"""What it may swing by as a voltage, as a share of R times the current."""
 BLOCKS = 6
 """Parts of a window, whose scatter weighs it."""
 LEAST_SD = 2e-4
@@ -44,7 +48,7 @@ ENOUGH = 5
 """Windows at rest that an angle needs, to count."""
 RESTLESS = 12.0
 """Times the usual scatter within a window from which its rotor was not at rest yet: it is left out."""
-FLOOR_R, FLOOR_U = 1e-3, 2.5e-3
+FLOOR_R, FLOOR_U = 1.2e-3, 2.5e-3
 """Standard deviations that the method leaves, relative."""
 FLOOR_NOISE = 0.11
 """And what it leaves of R on a drive that is too large for the motor: so many times noise over agreed current."""
@@ -245,11 +249,11 @@ def perform(stand: Stand) -> Outcome:
     """Hold the levels, and tell the stand and the drive's current loop what follows."""
     held: list[Held] = []
     with stand.running(STEP):
-        for angle, shares in PASSES:
+        for angle in PASSES:
             stand.turn_to(angle)
             stand.ramp(0.1 * stand.i_max, ALIGNED * stand.i_max, 0.24)
-            stand.wait(0.25)
-            for share in shares:
+            _come_to_rest(stand)
+            for share in LEVELS[::-1]:  # downwards: a small current lets the rotor go, which then swings
                 stand.current(float(share) * stand.i_max)
                 stand.wait(SETTLE)
                 window = stand.run(MEASURE, "forced")
@@ -263,10 +267,21 @@ def perform(stand: Stand) -> Outcome:
     return found.outcome
 
 
+def _come_to_rest(stand: Stand) -> None:
+    """Wait until the rotor has stopped swinging, by the back-EMF across the current; LONGEST s at most."""
+    still = AT_REST * stand.R * ALIGNED * stand.i_max + LEAST_SD
+    for _ in range(round(LONGEST / LOOK)):
+        stand.wait(0.5 * LOOK)
+        across = stand.look(0.5 * LOOK).u_dq.imag
+        blocks = across[: len(across) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
+        if float(np.ptp(blocks)) < still:
+            return
+
+
 def announcement(stand: Stand) -> str:
     """What will be done."""
     most = LEVELS.max() * stand.i_max
     return (
-        f"{len(LEVELS)} levels of d current up to {most:.3g} A, up and down, at three angles, "
-        f"about {len(PASSES) * (len(LEVELS) * (SETTLE + MEASURE) + 0.9):.0f} s; the shaft moves to each angle"
+        f"{len(LEVELS)} levels of d current up to {most:.3g} A, twice at each of three angles, "
+        f"about {len(PASSES) * (len(LEVELS) * (SETTLE + MEASURE) + 1.0):.0f} s; the shaft moves to each angle"
     )

@@ -127,8 +127,8 @@ def levels(
     """
     held, heats, n = [], np.zeros(len(COOLING)), 480
     own = list(COOLING).index(cooling)
-    for angle, shares in resistance.PASSES:
-        for share in shares:
+    for angle in resistance.PASSES:
+        for share in resistance.LEVELS[::-1]:
             i_d = share * i_max
             vector = np.full(n, i_d * np.exp(1j * angle))
             lost = U * np.tanh(phases(vector) / (0.01 * i_max))
