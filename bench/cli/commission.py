@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +20,10 @@ from bench.errors import ExitCode
 from bench.files import STANDARD_OUTPUT, write
 
 if TYPE_CHECKING:
+    from bench.cli.output import Progress
     from bench.commission.command import Commissioned
     from bench.commission.quantity import Quantity
+    from bench.rig.person import Answered, Ask
 
 _PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k"}
 _TITLES = {
@@ -78,7 +82,8 @@ def command(
 
     with Progress() as screen:
         confirm = screen.confirm if sys.stdin.isatty() else None
-        done = commission(Options(target, report=report, overwrite=overwrite, **given), screen, confirm)
+        options = Options(target, report=report, overwrite=overwrite, **given)
+        done = commission(options, screen, confirm, _asking(screen) if confirm is not None else None)
     text, left = done.as_toml()
     if out is not None:
         write(out, text, f"--out {out}")
@@ -92,6 +97,20 @@ def command(
         note(f"refused: {step}: {reason}")
     if done.refused:
         sys.exit(ExitCode.FAILED)
+
+
+def _asking(screen: Progress) -> Ask | None:
+    """What asks on this terminal, with the status line out of the way; None where there is no terminal."""
+    from bench.rig.person import asked, at_terminal
+
+    @contextmanager
+    def ask(words: str) -> Iterator[Answered]:
+        screen.pause()
+        with asked(words) as answered:
+            yield answered
+        screen.resume()
+
+    return ask if at_terminal() else None
 
 
 def _evidence(report: Path) -> dict[str, Path]:

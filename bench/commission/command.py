@@ -26,7 +26,7 @@ from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.lock import alone_on
 from bench.rig.outputs import Recording
-from bench.rig.person import asked, at_terminal
+from bench.rig.person import Ask
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.settings import read_settings
@@ -102,9 +102,12 @@ class Commissioned:
         return told
 
 
-def commission(options: Options, screen: Screen, confirm: Callable[[str], bool] | None) -> Commissioned:
+def commission(
+    options: Options, screen: Screen, confirm: Callable[[str], bool] | None, ask: Ask | None = None
+) -> Commissioned:
     """Take the steps. Raises BenchError and HbpError; the drive is off again, and as it was.
 
+    `confirm` asks a person before anything is energised, `ask` before each further step; None where there is nobody.
     A step that can claim nothing ends it: what was found before stands, and `refused` says why.
     """
     steps = chosen(options.steps)
@@ -114,7 +117,6 @@ def commission(options: Options, screen: Screen, confirm: Callable[[str], bool] 
     envelope = Envelope(0.0, math.inf if options.current_a is None else options.current_a)
     station = read_settings(None)
     settings = replace(station, operator=options.operator or station.operator, config=options.config, load="none")
-    ask = asked if at_terminal() and confirm is not None else None
     plan = Plan(
         lambda: open_target(options.target, settings, "commission"), options.target, settings, envelope, ask,
         virtual=options.target == SIM, held=alone_on(options.target),
@@ -126,19 +128,21 @@ def commission(options: Options, screen: Screen, confirm: Callable[[str], bool] 
         rig.require_rest()
         i_max = _agreed_current(rig, options)
         rig.drive.envelope = replace(envelope, current=i_max)
-        if any(step.energises for step in steps):
+        agreed = options.yes or bool(node.identity.features & Feature.SIMULATED)
+        said = {step: f"{step.name}: {step.announcement(i_max)}" for step in steps}
+        if energising := [step for step in steps if step.energises]:
+            for step in () if agreed else energising:
+                screen.note(f"will do {said[step]}")
             require_consent(node, options.target, rig.drive.envelope, options.yes, confirm)
         done = Commissioned(of_node(node, options.target), options.converters, i_max)
         recording = Recording(_in(options.report, RUN_NAME), {"test": "commission"}, overwrite=options.overwrite)
         rig.prepare([channels(rig)], recording, held=True, full=True)
         began = rig.tick()
         stand = Stand(rig, i_max)
-        agreed = options.yes or bool(node.identity.features & Feature.SIMULATED)
-        for number, step in enumerate(steps):
-            words = f"{step.name} ({number + 1} of {len(steps)}): {step.announcement(stand)}"
-            screen.note(words)
-            if step.energises and not agreed and number and steps[number - 1].energises:
-                rig.ask(f"{step.name} with up to {i_max:g} A: if that may go on")
+        for step in steps:
+            screen.note(said[step])
+            if step in energising[1:] and ask is not None and not agreed:
+                rig.ask(f"see that the shaft is free for {step.name}, with up to {i_max:g} A")
             screen.progress(step.name)
             if not _take(rig, stand, step, done, partial(_write, options.report)):
                 break

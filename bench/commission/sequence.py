@@ -21,7 +21,8 @@ class Step:
     needs: tuple[str, ...]
     """Steps whose findings it goes by."""
     energises: bool
-    announcement: Callable[[Stand], str]
+    announcement: Callable[[float], str]
+    """Of the agreed current, A."""
     perform: Callable[[Stand], Outcome]
 
 

@@ -207,9 +207,9 @@ def _rough_inductance(stand: Stand, u: float, R: float) -> tuple[float, float]:
     return amplitude * HALF * stand.T / ripple, ripple
 
 
-def announcement(stand: Stand) -> str:
-    """What will be done."""
+def announcement(i_max: float) -> str:
+    """What will be done, with `i_max` A agreed to."""
     return (
-        f"a voltage in small steps at three angles until {ENOUGH * stand.i_max:.3g} A flow; the shaft jumps into place "
+        f"a voltage in small steps at three angles until {ENOUGH * i_max:.3g} A flow; the shaft jumps into place "
         "each time, by less than an electrical revolution"
     )

@@ -278,9 +278,9 @@ def perform(stand: Stand) -> Outcome:
     return found.outcome
 
 
-def announcement(stand: Stand) -> str:
-    """What will be done."""
+def announcement(i_max: float) -> str:
+    """What will be done, with `i_max` A agreed to."""
     return (
-        f"square waves on the voltage beside d currents up to {max(BIASES) * stand.i_max:.3g} A, at one angle, "
+        f"square waves on the voltage beside d currents up to {max(BIASES) * i_max:.3g} A, at one angle, "
         "about 5 s; the shaft trembles"
     )

@@ -80,6 +80,6 @@ def perform(stand: Stand) -> Outcome:
     return found.outcome
 
 
-def announcement(stand: Stand) -> str:
-    """What will be done."""
+def announcement(i_max: float) -> str:
+    """What will be done, with `i_max` A agreed to."""
     return f"outputs off, {SECONDS:g} s: offsets and noise of the current sensors, DC link voltage"

@@ -278,9 +278,9 @@ def _come_to_rest(stand: Stand) -> None:
             return
 
 
-def announcement(stand: Stand) -> str:
-    """What will be done."""
-    most = LEVELS.max() * stand.i_max
+def announcement(i_max: float) -> str:
+    """What will be done, with `i_max` A agreed to."""
+    most = LEVELS.max() * i_max
     return (
         f"{len(LEVELS)} levels of d current up to {most:.3g} A, twice at each of three angles, "
         f"about {len(PASSES) * (len(LEVELS) * (SETTLE + MEASURE) + 1.0):.0f} s; the shaft moves to each angle"

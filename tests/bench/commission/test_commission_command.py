@@ -144,7 +144,7 @@ def test_every_step_says_what_it_will_do_before_it_does() -> None:
     )
     assert not done.refused
     assert "phase current up to 8 A" in questions[0]
-    assert [note.partition(" ")[0] for note in screen.notes if " of 2)" in note] == ["offsets", "first-current"]
+    assert [note.partition(":")[0] for note in screen.notes] == ["will do first-current", "offsets", "first-current"]
     assert "until 2.4 A flow" in " ".join(screen.notes)
 
 
@@ -167,6 +167,18 @@ def test_so_it_is_after_a_refusal_and_what_was_found_before_stands() -> None:
     assert "tripped: OVERCURRENT" in done.refused["resistance"]
     assert set(done.outcomes) == {"offsets", "first-current"}
     assert "R_rough" in done.found
+    assert left_alone(link.device, before)
+
+
+@pytest.mark.campaign("commission")
+@pytest.mark.long("captures over a slow bus")
+@pytest.mark.parametrize("network", ["CAN", "CAN FD"])
+def test_a_bus_that_is_too_slow_is_helped_by_the_drives_memory(network: str) -> None:
+    link = WatchedLink(simulated(network=network))
+    before = dict(link.device.bench.parameters)
+    done = run_on(link, steps=("r",))
+    assert done.found["R_s"].covers(R)
+    assert done.found["R_s"].value == pytest.approx(R, rel=5e-3)
     assert left_alone(link.device, before)
 
 
