@@ -1,0 +1,1 @@
+"""The steps of a commissioning: what each commands, and what follows from what came."""

@@ -1,0 +1,95 @@
+"""One stretch of what a drive measured at its PWM rate, as arrays, for the analysis of a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Complexes = NDArray[np.complex128]
+Booleans = NDArray[np.bool_]
+
+
+def clarke(i: Floats) -> Complexes:
+    """Current vector i_alpha + j i_beta, amplitude invariant, shape (n,), of three phase currents, shape (3, n)."""
+    return np.asarray((2.0 * i[0] - i[1] - i[2]) / 3.0 + 1j * (i[1] - i[2]) / np.sqrt(3.0))
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Hall edges of a stretch, each an array of shape (m,)."""
+
+    old: Integers
+    """Code before the edge, 0 to 7, as the drive tells it."""
+    new: Integers
+    """Code after it."""
+    index: Floats
+    """When, in PWM periods, on the same scale as `Window.index`."""
+    count: Integers
+    """Count of the encoder at the edge; all 0 without one."""
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+def no_edges() -> Edges:
+    """Of a stretch in which none came."""
+    none = np.zeros(0, np.int64)
+    return Edges(none, none, np.zeros(0), none)
+
+
+@dataclass(frozen=True)
+class Window:
+    """Samples of one stretch at the PWM rate.
+
+    The voltage `u[k + 1]` is what lay on the winding between the samples `i[k]` and `i[k + 1]`, in the mean of that
+    period (SPEC, chapter 13).
+    """
+
+    T: float
+    """s, the PWM period."""
+    i: Floats
+    """A, shape (3, n): phase currents less their offsets."""
+    u: Complexes
+    """V, shape (n,): u_alpha + j u_beta as streamed, that is, without the compensation of the dead time."""
+    u_dc: Floats
+    """V, shape (n,)."""
+    theta: Floats | None
+    """rad, shape (n,): theta_enc as streamed, electrical by the drive's n_p and encoder_zero; None without encoder."""
+    control: Floats
+    """rad, shape (n,): theta_ctrl as streamed, the angle that the control used."""
+    index: Integers
+    """PWM period of each sample, shape (n,)."""
+    cycle: Booleans
+    """Shape (n,): a cycle of the test signal begins (bit 7 of status)."""
+    edges: Edges = field(default_factory=no_edges)
+    kind: str = ""
+    """What was commanded: "up", "d+", "d-", "off", "q", "forced"."""
+    i_ref: complex = 0j
+    """A: i_d + j i_q commanded, where a current was."""
+
+    def __len__(self) -> int:
+        return int(self.i.shape[1])
+
+    @property
+    def current(self) -> Complexes:
+        """A, shape (n,): i_alpha + j i_beta."""
+        return clarke(self.i)
+
+    @property
+    def dq(self) -> Complexes:
+        """A, shape (n,): i_d + j i_q in the frame of the control's angle."""
+        return np.asarray(self.current * np.exp(-1j * self.control))
+
+    @property
+    def u_dq(self) -> Complexes:
+        """V, shape (n,): the voltage in the frame of the control's angle, sample by sample."""
+        return np.asarray(self.u * np.exp(-1j * self.control))
+
+    @property
+    def seconds(self) -> float:
+        """s that it lasts."""
+        return len(self) * self.T
