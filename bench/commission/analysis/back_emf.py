@@ -24,8 +24,10 @@ from bench.signal.position import unwrapped
 
 CLEAR = 0.9
 """Of the rms of the voltage, that its mean along its own phase must be: else another thing than the rotor turns it."""
-TURNS = 2.0
-"""Electrical turns in a part at least."""
+UNKNOWN_LATE = Quantity("current_delay", "s", 0.5e-6, {"not measured": 0.6e-6})
+"""By which a drive may sample its currents late, where nothing is known of it: 0 to 1.5 us."""
+TURNS = 0.8
+"""Electrical turns in a part at least: with fewer a voltage that stands is not told from one that turns."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,12 @@ class Rotation:
         return np.asarray(np.abs(index - self.first) <= self.half)
 
 
-def rotations(windows: Sequence[Window], R: float, L_q: float) -> Iterator[Rotation]:
-    """The parts of windows of the kinds "d+" and "d-" in which a clear voltage turned; ohm and H."""
+def rotations(windows: Sequence[Window], R: float, L_q: float, dead_time: float = 0.0) -> Iterator[Rotation]:
+    """The parts of windows of the kinds "d+" and "d-" in which a clear voltage turned; ohm and H.
+
+    `dead_time`: V that it takes of a phase and that the drive does not put back; in the mean of a turn it takes 4 / pi
+    times that along the current.
+    """
     for window in merged(windows):
         if window.kind not in ALONG_D:
             continue
@@ -74,7 +80,8 @@ def rotations(windows: Sequence[Window], R: float, L_q: float) -> Iterator[Rotat
         if len(current) < 3:
             continue
         middle = 0.5 * (current[1:] + current[:-1])
-        v = u[1:] - R * middle - L_q * np.diff(current) / window.T
+        taken = 4.0 / math.pi * dead_time * middle / np.maximum(np.abs(middle), 1e-9)
+        v = u[1:] - R * middle - taken - L_q * np.diff(current) / window.T
         phase = unwrapped(np.angle(v))
         for part in parts(phase, window.T):
             found = _rotation(v[part], middle[part], phase[part], window, window.index[0] + begin + part.start)
@@ -105,12 +112,16 @@ def _rotation(v: Complexes, i: Complexes, phase: Floats, window: Window, at: flo
     return Rotation(middle, half, curve, w, shrink, float(mean.real), complex(i_dq.mean()), window.kind == "d+")
 
 
-def flux_by_back_emf(windows: Sequence[Window], R: Quantity, L_q: Quantity) -> Quantity:
+def flux_by_back_emf(
+    windows: Sequence[Window], R: Quantity, L_q: Quantity, late: Quantity = UNKNOWN_LATE, dead_time: float = 0.0
+) -> Quantity:
     """Psi, V s, of windows of the kinds "d+" and "d-" at speed, without a sensor of position.
 
-    Refused where a clear voltage turned in too few of them.
+    `late`, s: by which currents are sampled late, which nothing tells here; R late / L_q of psi hangs on it.
+    `dead_time`: V that it takes of a phase and that the drive does not put back. Refused where a clear voltage turned
+    in too few of them.
     """
-    found = list(rotations(windows, R.value, L_q.value))
+    found = list(rotations(windows, R.value, L_q.value, dead_time))
     if found:
         fastest = max(abs(each.w) for each in found)
         found = [each for each in found if abs(each.w) > 0.2 * fastest]
@@ -124,7 +135,9 @@ def flux_by_back_emf(windows: Sequence[Window], R: Quantity, L_q: Quantity) -> Q
     ws = np.array([abs(each.w) * each.shrink for each in found])
     i_d = np.array([each.i.real for each in found])
     told = fit(np.stack([ws, ws * i_d], 1), np.array([each.size for each in found]))
-    value = float(told.x[0])
+    by = R.value / L_q.value
+    value = float(told.x[0]) / (1.0 + by * late.value)
     noise = float(told.sd[0]) * told.inflation()
     i_q = float(np.mean([abs(each.i.imag) for each in found])) / float(ws.mean())
-    return Quantity("psi_f", "V s", value, {"noise": noise, "R": R.sd * i_q, "method": FLUX_FLOOR * value}, 1.0)
+    by_cause = {"noise": noise, "R": R.sd * i_q, "late currents": by * late.sd * value, "method": FLUX_FLOOR * value}
+    return Quantity("psi_f", "V s", value, by_cause, 1.0)

@@ -22,7 +22,7 @@ from bench.signal.hall_edges import mean_angle
 from bench.signal.position import unwrapped, wrapped
 
 STEP = "dragged turn"
-FOLLOWS = 0.05
+FOLLOWS = 0.25
 """Share of the way of a shaft with the most pole pairs, below which it does not follow."""
 MOST_PAIRS = 70
 """Electrical turns in one of the shaft, beyond which no motor is looked for."""

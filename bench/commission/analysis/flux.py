@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.commission.analysis.stretches import merged, parts
+from bench.commission.analysis.stretches import PART, merged, parts
 from bench.commission.least_squares import Fit, fit
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
@@ -37,6 +37,8 @@ ZERO_FLOOR = math.radians(0.06)
 """rad, sd, of the zero, likewise: an encoder's disc is uneven and not centred, n_p times that in electrical angle."""
 DELAY_FLOOR = 2e-7
 """s, sd, of the encoder's delay: iron loss and the lateness of the current sensors look like one."""
+SHORT = 0.01
+"""s of a part under torque, about: a rotor does not stand that for long."""
 SETTLE = 5e-3
 """s after a change of the command that are left out."""
 STEADY = 0.04
@@ -99,8 +101,14 @@ class Flux:
         return self.ahead - self.delay.value * w
 
 
-def rows(windows: Sequence[Window], R: float, kinds: Sequence[str], turned: tuple[float, float] = (0.0, 0.0)) -> Rows:
-    """Means over the steady parts of windows of these kinds, which come in the order of time.
+def rows(
+    windows: Sequence[Window],
+    R: float,
+    kinds: Sequence[str],
+    turned: tuple[float, float] = (0.0, 0.0),
+    seconds: float = PART,
+) -> Rows:
+    """Means over the steady parts, of about so many seconds, of windows of these kinds, in the order of time.
 
     The frame is that of the encoder, turned back by `turned`: rad, and rad per rad/s. R in ohm.
     """
@@ -111,7 +119,7 @@ def rows(windows: Sequence[Window], R: float, kinds: Sequence[str], turned: tupl
         begin = round(SETTLE / window.T)
         theta, current, u = unwrapped(window.theta)[begin:], window.current[begin:], window.u[begin:]
         size = max(abs(window.i_ref), 1e-9)
-        for part in parts(theta, window.T) if len(theta) else ():
+        for part in parts(theta, window.T, seconds) if len(theta) > 1 else ():
             th, i, n = theta[part], current[part], part.stop - part.start
             w = float(th[-1] - th[0]) / (window.T * (n - 1))
             back = np.exp(-1j * (0.5 * (th[1:] + th[:-1]) - turned[0] - turned[1] * w))
@@ -155,10 +163,11 @@ def flux(windows: Sequence[Window], R: Quantity, L_q: Quantity, encoder_zero: fl
         wrapped(encoder_zero - ahead),
         {"noise": float(more[0]), "L_q": of_L_q, "method": ZERO_FLOOR},
     )
+    torque = rows(windows, R.value, ("q",), turned, SHORT)
     return Flux(
         quantity,
         Quantity("L_d_run", "H", L_d, {"noise": float(noise[1]), "method": L_D_FLOOR * abs(L_d)}, 1.0, -1.0),
-        _under_torque(rows(windows, R.value, ("q",), turned), value, zero.sd, math.hypot(float(more[1]), DELAY_FLOOR)),
+        _under_torque(torque, value, zero.sd, math.hypot(float(more[1]), DELAY_FLOOR)),
         zero,
         Quantity("encoder_delay", "s", late, {"noise": float(more[1]), "method": DELAY_FLOOR}),
         ahead,

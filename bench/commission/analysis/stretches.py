@@ -55,12 +55,13 @@ def _joined(windows: Sequence[Window]) -> Window:
 def parts(angle: Floats, T: float, seconds: float = PART) -> list[slice]:
     """Cuts samples with an unwrapped electrical `angle`, shape (n,) rad, into parts of about so many `seconds`.
 
-    Each part is of whole electrical turns as far as the speed allows, and ends with the sample that the next one begins
+    Each part is of whole electrical turns, where one fits, and ends with the sample that the next one begins
     with, so that the differences from sample to sample belong to one part each.
     """
     n = len(angle)
     length = max(LEAST_PART, round(seconds / T))
     turn = math.tau / max(abs(float(angle[-1] - angle[0])) / max(n - 1, 1), 1e-12)
-    if turn < length:
-        length = round(round(length / turn) * turn)
+    whole = round(max(1, round(length / turn)) * turn)
+    if whole < n:
+        length = whole
     return [slice(begin, begin + length + 1) for begin in range(0, n - length, length)]

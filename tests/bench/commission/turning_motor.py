@@ -9,7 +9,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -99,8 +99,11 @@ class Bench:
     w: float = 0.0
     period: int = 0
 
-    def hold(self, kind: str, i_ref: complex, seconds: float, until: float = 0.0) -> Window:
-        """The current i_ref, A, in the encoder's frame, for so long, or until a speed in rad/s, electrical."""
+    def hold(self, kind: str, i_ref: complex, seconds: float, until: float = 0.0, settled: bool = False) -> Window:
+        """The current i_ref, A, in the encoder's frame, for so long, or until a speed in rad/s, electrical.
+
+        It comes up as the controller lets it, or is there from the beginning on.
+        """
         m, T = self.motor, self.drive.T
         bw = math.tau * 250.0
         k_d, k_q, k_i = bw * m.L_d, bw * m.L_q, bw * m.R
@@ -126,9 +129,11 @@ class Bench:
             return abs(y[2]) - until
 
         reached.terminal = True  # type: ignore[attr-defined]
+        first = i_ref * cmath.exp(1j * self.drive.ahead) if settled else 0j
+        begin = (first.real, first.imag)
         events = reached if until else None
         found = solve_ivp(
-            rate, (0.0, seconds), [0.0, 0.0, self.w, self.theta, m.R * i_ref.real, m.R * i_ref.imag], method="LSODA",
+            rate, (0.0, seconds), [*begin, self.w, self.theta, m.R * i_ref.real, m.R * i_ref.imag], method="LSODA",
             dense_output=True, rtol=1e-7, atol=1e-9, events=events,
         )  # fmt: skip
         n = int(found.t[-1] / T)
@@ -194,7 +199,7 @@ class Bench:
         window = self._window(
             "forced", current + 0j, y[1], y[0], current * np.exp(1j * control), np.zeros(len(t), complex)
         )
-        return _with_control(window, control)
+        return replace(window, control=(control + math.pi) % math.tau - math.pi)
 
     def _turn(self, theta: float) -> complex:
         """d flux / d theta of the magnet's harmonics, in the rotor's frame."""
@@ -266,13 +271,6 @@ class Bench:
         return Edges(old, new, moment, count)
 
 
-def _with_control(window: Window, control: np.ndarray) -> Window:
-    return Window(
-        window.T, window.i, window.u, window.u_dc, window.theta, (control + math.pi) % math.tau - math.pi, window.index,
-        window.cycle, window.edges, window.kind, window.i_ref,
-    )  # fmt: skip
-
-
 def _signs(i: np.ndarray) -> np.ndarray:
     """Vector of the signs of three phase currents, amplitude invariant."""
     signs = np.sign(np.real(i[None, :] * np.exp(-1j * math.tau / 3.0 * np.arange(3)[:, None])))
@@ -296,16 +294,18 @@ def spin(
     return windows
 
 
-def along_d(
-    bench: Bench, I: float, top: float, speeds: Sequence[float] = (1.0, 0.5), held: float = 0.05
-) -> list[Window]:
-    """+I and -I on d at shares of a speed, both ways."""
+def along_d(bench: Bench, I: float, top: float, held: float = 0.065) -> list[Window]:
+    """+I and -I on d, from a speed on, both ways."""
     windows = []
     for way in (1.0, -1.0):
-        for share in speeds:
-            bench.w = way * share * top
-            windows += [bench.hold("d+", I + 0j, held), bench.hold("d-", -I + 0j, held)]
+        bench.w = way * top
+        windows += [bench.hold(kind, way_i + 0j, held, settled=True) for kind, way_i in (("d+", I), ("d-", -I))]
     return windows
+
+
+def noisy(windows: Sequence[Window], sd: float, rng: np.random.Generator) -> list[Window]:
+    """The same with other noise of the phase currents, A rms."""
+    return [replace(window, i=window.i + sd * rng.standard_normal(window.i.shape)) for window in windows]
 
 
 def drawn(rng: np.random.Generator, **more: float) -> tuple[Motor, float, float]:
