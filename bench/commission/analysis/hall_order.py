@@ -60,7 +60,7 @@ class HallOrder:
     lag: float
     """rad, electrical: half of what the ways differ by: friction's lag and half of the hysteresis; NaN if not told."""
     rises: Floats
-    """(3,) rad: where a, b, c rise to a rotor that turns forward, the mean of both ways; NaN where not told,"""
+    """(3,) rad: where the inputs a, b, c rise to a rotor that turns forward, the mean of both ways; NaN if not told,"""
     falls: Floats
     """and fall."""
     edges: HallEdges | None
@@ -113,7 +113,9 @@ def hall_order(up: Sequence[Window], down: Sequence[Window], ring: float | None 
             lag.append(0.5 * wrapped(by_way[0] - by_way[1]))
     found = []
     if order != NEITHER and np.isfinite([rises, falls]).all():
-        found = ways(rises + (falls - rises) % math.tau / 2.0, mask)
+        undone = np.array([mask >> k & 1 == 1 for k in range(3)])
+        begin, end = np.where(undone, falls, rises), np.where(undone, rises, falls)
+        found = ways(begin + (end - begin) % math.tau / 2.0, mask)
     found.sort(key=lambda w: (w.changes, w.inverted.bit_count(), abs(w.ring)))
     wired = found[0] if found else None
     edges = _edges(seen, wired, ring, n) if wired is not None else None

@@ -41,8 +41,8 @@ ONE_WAY = 0.3
 """Of dry friction, that half of what the two ways differ by may be at most."""
 SURE = 3.0
 """Times its own noise, that what the ways differ by, and a bend of friction with the speed, must be to be believed."""
-SPACE = 0.02
-"""s from one moment to the next."""
+SPACE, MOMENTS = 0.02, 12
+"""s from one moment to the next, and how many a short run has."""
 SETTLE = 0.01
 """s after a change of the command that are left out."""
 LEAST_SLOPE, MOST_SLOPE = 0.005, 0.04
@@ -153,15 +153,17 @@ def _ends(theta: Floats, T: float) -> tuple[float, float]:
 
 
 def _speeds(theta: Floats, T: float, n_p: int) -> list[tuple[int, float]]:
-    """Samples of a run and the speed of the shaft at each, rad/s, by a line around it."""
-    n, slowest = len(theta), min(_ends(theta, T))
-    half = round(min(max(LEAST_SLOPE, math.pi / max(slowest * n_p, 1.0)), MOST_SLOPE) / T)
-    first, last = round(SETTLE / T) + half, n - half - 1
-    if last <= first:
-        return []
-    t = np.arange(-half, half + 1) * T
-    at = np.linspace(first, last, max(1, round((last - first) * T / SPACE)) + 1).astype(int).tolist()
-    return [(k, float(t @ theta[k - half : k + half + 1]) / float(t @ t)) for k in at]
+    """Samples of a run and the speed of the shaft at each, rad/s, by a line around it; `theta`: the shaft's angle."""
+    n, settle, least = len(theta), round(SETTLE / T), round(LEAST_SLOPE / T)
+    space = max(1, round(min(SPACE, (n - settle) * T / MOMENTS) / T))
+    found = []
+    for k in range(settle + least, n - least, space):
+        rough = abs(float(theta[k + least] - theta[k - least])) / (2 * least * T) * n_p
+        half = round(min(max(LEAST_SLOPE, math.pi / max(rough, 1.0)), MOST_SLOPE) / T)
+        if settle <= k - half and k + half < n:
+            t = np.arange(-half, half + 1) * T
+            found.append((k, float(t @ theta[k - half : k + half + 1]) / float(t @ t)))
+    return found
 
 
 def mechanics(windows: Sequence[Window], found: Flux, R: Quantity, L_q: Quantity, n_p: int) -> Mechanics:

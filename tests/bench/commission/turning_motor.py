@@ -15,6 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from bench.commission.analysis.flux import Flux
+from bench.commission.least_squares import Fit
+from bench.commission.quantity import Quantity
 from bench.commission.window import Edges, Window, no_edges
 
 CODES = (1, 3, 2, 6, 4, 5)
@@ -151,6 +154,34 @@ class Bench:
         sampled = i + self.drive.late * self._without_voltage(i, y[2])
         return self._window(kind, i_ref, y[3], y[2], sampled * np.exp(1j * y[3]), u + self.drive.U * lost)
 
+    def turned_by(self, i_ref: complex, seconds: float, until: float) -> Window:
+        """Like "up" of `hold`, with a current that an ideal controller holds; without voltages."""
+        m, d = self.motor, self.drive
+
+        def current(w: Any, exp: Any) -> Any:
+            return i_ref * exp(1j * (d.ahead - d.encoder_delay * w)) - 1j * w * m.psi / m.R_fe
+
+        def rate(_: float, y: np.ndarray) -> list[float]:
+            w, theta = y.tolist()
+            i = current(w, cmath.exp)
+            torque = 1.5 * m.n_p * (m.psi * i.imag + (m.L_d - m.L_q) * i.real * i.imag)
+            return [m.n_p / m.J * (torque - m.shaft(w / m.n_p, theta / m.n_p)), w]
+
+        y = self._solved(rate, seconds, lambda _, y: abs(y[0]) - until)
+        i = current(y[0], np.exp)
+        at_terminals = i + 1j * y[0] * m.psi / m.R_fe + d.late * self._without_voltage(i, y[0])
+        return self._window("up", i_ref, y[1], y[0], at_terminals * np.exp(1j * y[1]), np.zeros(y.shape[1], complex))
+
+    def _solved(self, rate: Callable[..., list[float]], seconds: float, reached: Callable[..., float]) -> np.ndarray:
+        """Speed and angle at each sample, (2, n), until something is reached."""
+        reached.terminal = True  # type: ignore[attr-defined]
+        found = solve_ivp(
+            rate, (0.0, seconds), [self.w, self.theta], method="LSODA", dense_output=True, rtol=1e-7, atol=1e-8,
+            events=reached,
+        )  # fmt: skip
+        n = int(found.t[-1] / self.drive.T)
+        return np.asarray(found.sol(np.arange(n) * self.drive.T))
+
     def coast(self, seconds: float, until: float) -> Window:
         """The outputs off, for so long, or until a speed in rad/s, electrical."""
         m = self.motor
@@ -159,21 +190,7 @@ class Bench:
         def rate(_: float, y: np.ndarray) -> list[float]:
             return [m.n_p / m.J * (-loss * y[0] - m.shaft(y[0] / m.n_p, y[1] / m.n_p)), y[0]]
 
-        def reached(_: float, y: np.ndarray) -> float:
-            return abs(y[0]) - until
-
-        reached.terminal = True  # type: ignore[attr-defined]
-        found = solve_ivp(
-            rate,
-            (0.0, seconds),
-            [self.w, self.theta],
-            method="LSODA",
-            dense_output=True,
-            rtol=1e-8,
-            atol=1e-9,
-            events=reached,
-        )
-        y = found.sol(np.arange(int(found.t[-1] / self.drive.T)) * self.drive.T)
+        y = self._solved(rate, seconds, lambda _, y: abs(y[0]) - until)
         none = np.zeros(y.shape[1], complex)
         return self._window("off", 0j, y[1], y[0], none, none)
 
@@ -321,3 +338,19 @@ def drawn(rng: np.random.Generator, **more: float) -> tuple[Motor, float, float]
     dry = k_t * i_max * float(rng.uniform(0.01, 0.04))
     values = {"J": J, "b": dry / (top / n_p) * float(rng.uniform(0.3, 1.0)), "up": dry, "down": dry} | more
     return Motor(n_p, R, L * float(rng.uniform(0.8, 1.0)), L, psi, **values), i_max, top
+
+
+def known_flux(bench: Bench, psi_wrong: float = 0.0) -> Flux:
+    """Flux and angle as they are; psi wrong by a share, as late currents make it."""
+    m, d = bench.motor, bench.drive
+    psi = m.psi * (1.0 + psi_wrong)
+    return Flux(
+        Quantity("psi_f", "V s", psi, {"noise": 1e-4 * psi}, 1.0),
+        Quantity("L_d_run", "H", m.L_d, {"noise": 5e-3 * m.L_d}),
+        None,
+        Quantity("encoder_zero", "rad", 0.0, {"noise": 1e-4}),
+        Quantity("encoder_delay", "s", d.encoder_delay, {"noise": 1e-8}),
+        d.ahead,
+        0.0,
+        Fit(np.zeros(0), np.zeros((0, 0)), np.zeros(0)),
+    )
