@@ -32,6 +32,8 @@ LAG_KEPT = 0.25
 """Of the lag of both ways together, sd of the rough zero: friction need not be alike both ways."""
 ZERO_FLOOR = 0.01
 """rad, sd of the rough zero: cogging holds the rotor back by places."""
+SAMPLES = 2000
+"""That the number of electrical turns is told by, evenly spread."""
 PLACES = 400
 """Places of a turn, of which both ways must have been at the same ones."""
 
@@ -115,7 +117,8 @@ def _shaft(windows: Sequence[Window], n_p: int, encoder_zero: float) -> list[tup
 def _ratio(shafts: Sequence[tuple[Floats, Floats]]) -> tuple[float, float]:
     """Electrical turns in one of the shaft, below 0 where it turns the other way, and the standard error."""
     rows, y = [], []
-    for number, (control, shaft) in enumerate(shafts):
+    every = max(1, sum(len(shaft) for _, shaft in shafts) // SAMPLES)
+    for number, (control, shaft) in enumerate((each[::every], other[::every]) for each, other in shafts):
         level = np.zeros((len(shaft), len(shafts)))
         level[:, number] = 1.0
         rows.append(np.column_stack([control, level]))

@@ -242,4 +242,4 @@ def heavy(share: float, current: float, i_max: float) -> Finding | None:
     if share <= HEAVY:
         return None
     told = f"it takes {100.0 * share * current / i_max:.0f} % of i_max to turn the shaft"
-    return Finding("motion", f"{told}: something is attached, or it binds", (), "take off what is attached")
+    return Finding("heavy", f"{told}: something is attached, or it binds", (), "take off what is attached")
