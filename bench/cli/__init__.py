@@ -32,6 +32,7 @@ _COMMANDS = {
     "export": "Export a recorded run: CSV, MDF 4, MATLAB, NumPy, rerun, Parquet.",
     "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
     "conform": "Check whether a device conforms to HBP, the protocol.",
+    "commission": "Find out what an unknown motor is, each value with its interval.",
     "response": "Measure the frequency response of a loop: margins, coherence.",
     "hall": "Check the Hall sensors; learn their edge angles; read other tools' tables.",
     "replay": "Run observers on a recording, beside the drive's own.",

@@ -1,7 +1,7 @@
 """A measured quantity with what is known of it: its value in the drive's own volts and amperes, and two intervals.
 
-A drive knows volts by its measurement of the link, and amperes by its current sensors. Loops and observers compute in
-these units, so the gains of the converters do not matter to them. They do to ohms, henries and newton metres, and
+A drive knows volts by its measurement of the DC link, and amperes by its current sensors. Loops and observers compute
+in these units, so the gains of the converters do not matter to them. They do to ohms, henries and newton metres, and
 cannot be measured from inside: `absolute` adds them.
 """
 
@@ -23,7 +23,7 @@ class Converters:
     """
 
     volts: float = 0.005
-    """Of the measurement of the link voltage."""
+    """Of the measurement of the DC link."""
     amperes: float = 0.005
     """Of the current sensor of one phase; the three are independent."""
 
@@ -68,7 +68,7 @@ class Quantity:
 
     def _gains(self, converters: Converters) -> dict[str, float]:
         return {
-            "gain of the link voltage": abs(self.value * self.volts) * converters.volts,
+            "gain of the DC link voltage": abs(self.value * self.volts) * converters.volts,
             "gain of the currents": abs(self.value * self.amperes) * converters.common_amperes,
         }
 

@@ -524,6 +524,10 @@ class Node:
         """Current references in A."""
         self.setpoint(SetpointMode.CURRENT, i_q, i_d)
 
+    def voltage(self, u_q: float, u_d: float = 0.0) -> None:
+        """The voltage vector in V, in the frame of the control's angle: of a drive with the feature COMMISSION."""
+        self.setpoint(SetpointMode.VOLTAGE, u_q, u_d)
+
     def torque(self, tau: float) -> None:
         """Torque of a load machine in N·m, against the drive's positive direction."""
         self.setpoint(SetpointMode.TORQUE, tau)

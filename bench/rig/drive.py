@@ -168,6 +168,42 @@ class Drive(Machine):
         with self._trips_first():
             self.node.current(i_q, i_d)
 
+    def voltage(self, u_q: float, u_d: float = 0.0) -> None:
+        """Give the voltage vector itself, V, of a drive with the feature COMMISSION; no loop controls the current.
+
+        Whoever calls it looks at the currents: the announced current cannot be held against a voltage. BenchError above
+        the drive's `u_test_max`, and where its control's angle is neither forced nor the encoder's.
+        """
+        most = self.parameters.get("u_test_max", 0.0)
+        if math.hypot(u_q, u_d) > most * (1 + 1e-6):
+            raise BenchError(
+                f"a voltage of {math.hypot(u_q, u_d):.4g} V is beyond the drive's u_test_max, {most:.4g} V"
+            )
+        self._ask(None)
+        with self._trips_first():
+            self.node.voltage(u_q, u_d)
+
+    def force_angle(self, angle: float) -> None:
+        """Have the control use a made angle, electrical rad, which goes there by the shorter way at 2 pi rad/s at most.
+
+        Of a drive with the feature COMMISSION; STOP ends it.
+        """
+        self.set("forced", 1.0)
+        self.set("forced_speed", 0.0)
+        with self._trips_first():  # also where it has this value: only what is set moves the angle
+            self._set("forced_angle", math.remainder(angle, math.tau))
+
+    def force_speed(self, omega: float, slope: float | None = None) -> None:
+        """Have the control's made angle turn, electrical rad/s; `slope`: its ramp, rad/s2, None leaves it.
+
+        BenchError if a shaft with the drive's pole pairs would turn faster by it than was announced.
+        """
+        require_announced_speed("forced speed", omega / self.n_p, self.envelope)
+        if slope is not None:
+            self.set("forced_slope", slope)
+        self.set("forced", 1.0)
+        self.set("forced_speed", omega)
+
     def may_turn_freely(self, rpm: float | None) -> None:
         """Switch off a motor that turns faster than so many r/min, either way, while a current is asked for."""
         if self.guard is not None:
@@ -214,14 +250,26 @@ class Drive(Machine):
         reference.
         """
         test = TestSignal[reference.upper()]
+        self.node.write_waveform(wave.raw().tobytes())
+        with self._excited(test, amplitude, wave.hold, len(wave.values)):
+            yield
+
+    @contextmanager
+    def square(self, reference: str, amplitude: float, periods: int) -> Iterator[None]:
+        """The same with a square wave: + `amplitude` for so many PWM periods, - for as many. Needs COMMISSION only."""
+        with self._excited(TestSignal[reference.upper()], amplitude, periods, 0):
+            yield
+
+    @contextmanager
+    def _excited(self, test: TestSignal, amplitude: float, periods: int, length: int) -> Iterator[None]:
         if test in (TestSignal.I_D, TestSignal.I_Q):
             require_announced("amplitude", amplitude, self.envelope.current, "A", "current")
         elif test is TestSignal.SPEED:
             require_announced_speed("amplitude", amplitude, self.envelope)
-        self.node.write_waveform(wave.raw().tobytes())
         self.set(AMPLITUDES[test], amplitude)
-        self.set("test_periods", float(wave.hold))
-        self.set("test_length", float(len(wave.values)))
+        self.set("test_periods", float(periods))
+        if length or self.node.has_parameter("test_length"):
+            self.set("test_length", float(length))
         self.set("test", float(test))
         try:
             yield

@@ -24,6 +24,12 @@ NEEDS: dict[str, tuple[str, ...]] = {
         "feature:WAVEFORM",
         *(f"parameter:{name}" for name in ("test", "test_length", "test_periods", "test_current", "test_speed")),
     ),
+    "bench commission": (
+        "feature:COMMISSION",
+        *(f"channel:{name}" for name in ("i_a", "i_b", "i_c", "u_alpha", "u_beta", "u_dc", "theta_ctrl", "status")),
+        *(f"parameter:{name}" for name in ("forced", "forced_angle", "test", "test_periods", "test_voltage")),
+        *(f"parameter:{name}" for name in ("u_test_max", "R_s_hat", "L_s_hat", "bw_current")),
+    ),
     "--load": ("parameter:n_p", "parameter:psi_f_hat"),
     "bench hall check": ("channel:hall", "feature:EDGES", "parameter:n_p", "speed"),
     "bench hall check --passive": ("channel:hall", "feature:EDGES"),

@@ -22,7 +22,21 @@ from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
 COMMANDS = ["live", "capture", "view", "mark", "plot", "measure", "compare", "import", "export", "accept", "conform"]
-COMMANDS += ["response", "hall", "replay", "study", "tune", "score", "motor", "sim", "init", "devices", "info", "param"]
+COMMANDS += [
+    "commission",
+    "response",
+    "hall",
+    "replay",
+    "study",
+    "tune",
+    "score",
+    "motor",
+    "sim",
+    "init",
+    "devices",
+    "info",
+    "param",
+]
 COMMANDS += ["protocol", "completion"]
 
 

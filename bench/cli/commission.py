@@ -1,0 +1,132 @@
+"""`bench commission`: what an unknown motor and its drive are."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.cli.files import DIRECTORY, FILE, check_files, config_option, json_option, overwrite_option, write_json
+from bench.cli.number import Number
+from bench.cli.options import Names, operator_option, yes_option
+from bench.cli.streams import echo, note
+from bench.cli.target import simulated_figures, target_argument
+from bench.errors import ExitCode
+from bench.files import STANDARD_OUTPUT, write
+
+if TYPE_CHECKING:
+    from bench.commission.command import Commissioned
+    from bench.commission.quantity import Quantity
+
+_PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k"}
+_TITLES = {
+    "u_dc": "DC link voltage", "noise": "noise of a current sensor", "R_s": "resistance of a phase",
+    "U_dead": "dead time's volts", "t_dead": "dead time, effective", "L_d": "L_d without current",
+    "L_q": "L_q without current", "L_d_half": "L_d at half the current", "L_q_half": "L_q at half the current",
+    "R_rough": "resistance, rough", "L_rough": "inductance, rough",
+}  # fmt: skip
+
+
+@click.command("commission")
+@target_argument()
+@click.option("--step", "steps", metavar="NAMES", type=Names(),
+              help="Steps, with commas between them, and those that they need: offsets, first-current, resistance (r), "
+              "inductance (l) [default: all].")  # fmt: skip
+@click.option("--current", "current_a", metavar="A", type=Number(above=0),
+              help="Largest current of the motor, A peak, by its plate [default: of a simulated drive its i_max]."
+              )  # fmt: skip
+@click.option("-o", "--out", metavar="TOML", type=FILE,
+              help="Write the parameters that were found, for bench param load.")  # fmt: skip
+@click.option("--report", metavar="DIR", type=DIRECTORY,
+              help="Write the evidence of each step to this folder: recording, pictures, fits.")  # fmt: skip
+@yes_option
+@config_option
+@operator_option("stored in the recording")
+@json_option("what was found")
+@overwrite_option
+def command(
+    target: str, out: Path | None, report: Path | None, json_file: Path | None, overwrite: bool, **given: Any
+) -> None:
+    """Find out what an unknown motor is, step by step, with the shaft at rest: resistance, dead time, inductances.
+
+    Each step says before it begins what it will do, and asks. Offsets and noise of the current sensors come first, then
+    the smallest current that shows whether all phases are there and in order, then resistance and dead time, told
+    apart, then L_d and L_q over the current. What a step cannot claim it refuses by name.
+
+    Every value has two 95 % intervals: in the drive's own volts and amperes, which its loops and observers compute in,
+    and absolute, with the gains of its sensors. Nothing is stored in the drive: all parameters are put back. Needs a
+    drive with the feature COMMISSION of HBP.
+
+    Exit codes: 0 all found, 1 a step was refused, 2 error, 5 outputs may still be on.
+
+    \b
+    Examples:
+      bench commission sim
+      bench commission sim --config gimbal-4310 -o found.toml --report found
+      bench commission serial:/dev/ttyACM0 --current 6 --step r -o found.toml
+    """
+    files = {"--json": json_file, "--out": out}
+    given["config"] = simulated_figures(target, given["config"])
+    given["steps"] = given["steps"] or None
+    evidence = {} if report is None or not report.is_dir() else _evidence(report)
+    check_files(files | evidence, overwrite, [given["config"]], recordings=evidence.keys())
+    from bench.cli.output import Progress
+    from bench.commission.command import Options, commission
+
+    with Progress() as screen:
+        confirm = screen.confirm if sys.stdin.isatty() else None
+        done = commission(Options(target, report=report, overwrite=overwrite, **given), screen, confirm)
+    text, left = done.as_toml()
+    if out is not None:
+        write(out, text, f"--out {out}")
+    if json_file is not None:
+        write_json(json_file, done.as_json())
+    if json_file != STANDARD_OUTPUT:
+        _print(done)
+    for words in [*done.remarks, *left]:
+        note(f"warning: {words}")
+    for step, reason in done.refused.items():
+        note(f"refused: {step}: {reason}")
+    if done.refused:
+        sys.exit(ExitCode.FAILED)
+
+
+def _evidence(report: Path) -> dict[str, Path]:
+    """What stands for all of a report: its recording, whose name no other program writes."""
+    from bench.commission.command import RUN_NAME
+
+    return {"--report": report / RUN_NAME}
+
+
+def _print(done: Commissioned) -> None:
+    from bench.cli.output import table
+
+    rows = [_row(quantity, done) for quantity in done.found.values() if quantity.name in _TITLES]
+    rough = {"R_rough": "R_s", "L_rough": "L_d"}
+    names = [name for name in done.found if name in _TITLES]
+    shown = [row for name, row in zip(names, rows, strict=True) if rough.get(name) not in done.found]
+    echo(f"{done.drive.title}, up to {done.i_max:g} A, {done.seconds:.0f} s of drive time")
+    table(["quantity", "value", "95 %, drive's units", "mostly", "95 %, absolute", "mostly"], shown)
+
+
+def _row(quantity: Quantity, done: Commissioned) -> list[str]:
+    absolute = quantity.absolute_half_width(done.converters)
+    return [
+        _TITLES[quantity.name], _engineering(quantity.value, quantity.unit), _width(quantity, quantity.half_width),
+        quantity.dominated_by, _width(quantity, absolute), quantity.absolutely_dominated_by(done.converters),
+    ]  # fmt: skip
+
+
+def _width(quantity: Quantity, half_width: float) -> str:
+    share = 100.0 * half_width / abs(quantity.value) if quantity.value else math.inf
+    return f"+- {share:.2g} %" if share < 100.0 else f"+- {_engineering(half_width, quantity.unit)}"
+
+
+def _engineering(value: float, unit: str) -> str:
+    """Four digits, with the prefix of the unit that leaves one to three before the point."""
+    exponent = 3 * math.floor(math.log10(abs(value)) / 3.0) if value else 0
+    exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
+    return f"{value / 10.0**exponent:.4g} {_PREFIXES[exponent]}{unit}"

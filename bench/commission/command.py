@@ -1,0 +1,192 @@
+"""`bench commission` from target to result: limits, consent, rig, the steps one by one. Nothing here prints."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bench.commission.outcome import Outcome
+from bench.commission.parameters import toml
+from bench.commission.quantity import Converters, Quantity
+from bench.commission.refusal import Refused
+from bench.commission.sequence import Step, chosen
+from bench.commission.stand import NEED, Stand, channels
+from bench.errors import BenchError
+from bench.files import RUN, check_directory, finite, write
+from bench.param.sources import of_node
+from bench.param.table import Parameters
+from bench.rig.connection import SIM, open_target
+from bench.rig.consent import check_limits, require_consent
+from bench.rig.envelope import Envelope
+from bench.rig.interrupts import signals_as_exceptions
+from bench.rig.lock import alone_on
+from bench.rig.outputs import Recording
+from bench.rig.person import asked, at_terminal
+from bench.rig.rig import Plan, Rig
+from bench.rig.screen import Screen
+from bench.rig.settings import read_settings
+from bench.signal.verdict import Verdict
+from protocol.messages import Feature
+
+RUN_NAME = f"commission{RUN}"
+FOUND = "found.json"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What was asked for; A as on the command line, None for the default. `steps`: None for all that there are."""
+
+    target: str
+    steps: tuple[str, ...] | None = None
+    current_a: float | None = None
+    report: Path | None = None
+    overwrite: bool = False
+    yes: bool = False
+    config: Path | None = None
+    operator: str = ""
+    converters: Converters = field(default_factory=Converters)
+
+
+@dataclass
+class Commissioned:
+    """What was found, step by step, and what was not."""
+
+    drive: Parameters
+    """The drive's parameters before."""
+    converters: Converters
+    i_max: float
+    outcomes: dict[str, Outcome] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+    """Why a step claims nothing, by the step's name."""
+    seconds: float = 0.0
+    """Of drive time."""
+
+    @property
+    def found(self) -> dict[str, Quantity]:
+        """All quantities by name."""
+        return {quantity.name: quantity for outcome in self.outcomes.values() for quantity in outcome.quantities}
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is to be known beside."""
+        return [words for outcome in self.outcomes.values() for words in outcome.remarks]
+
+    def as_toml(self) -> tuple[str, list[str]]:
+        """See `bench.commission.parameters.toml`."""
+        return toml(self.found, self.drive, self.converters)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data, SI units."""
+        told: dict[str, Any] = finite({
+            "drive": dict(self.drive.identity),
+            "current": self.i_max,
+            "seconds": self.seconds,
+            "converters": {"volts": self.converters.volts, "amperes": self.converters.amperes},
+            "quantities": {
+                name: {
+                    "value": q.value, "unit": q.unit, "parts": dict(q.parts),
+                    "half_width": q.half_width, "dominated_by": q.dominated_by,
+                    "absolute_half_width": q.absolute_half_width(self.converters),
+                    "absolutely_dominated_by": q.absolutely_dominated_by(self.converters),
+                }
+                for name, q in self.found.items()
+            },
+            "refused": dict(self.refused),
+            "remarks": self.remarks,
+        })  # fmt: skip
+        return told
+
+
+def commission(options: Options, screen: Screen, confirm: Callable[[str], bool] | None) -> Commissioned:
+    """Take the steps. Raises BenchError and HbpError; the drive is off again, and as it was.
+
+    A step that can claim nothing ends it: what was found before stands, and `refused` says why.
+    """
+    steps = chosen(options.steps)
+    if options.report is not None:
+        check_directory(options.report, f"--report {options.report}", make=True)
+        options.report.mkdir(parents=True, exist_ok=True)
+    envelope = Envelope(0.0, math.inf if options.current_a is None else options.current_a)
+    station = read_settings(None)
+    settings = replace(station, operator=options.operator or station.operator, config=options.config, load="none")
+    ask = asked if at_terminal() and confirm is not None else None
+    plan = Plan(
+        lambda: open_target(options.target, settings, "commission"), options.target, settings, envelope, ask,
+        virtual=options.target == SIM, held=alone_on(options.target),
+    )  # fmt: skip
+    with signals_as_exceptions(), Rig(plan) as rig:
+        node = rig.drive.node
+        rig.require(NEED)
+        check_limits(node, envelope)
+        rig.require_rest()
+        i_max = _agreed_current(rig, options)
+        rig.drive.envelope = replace(envelope, current=i_max)
+        if any(step.energises for step in steps):
+            require_consent(node, options.target, rig.drive.envelope, options.yes, confirm)
+        done = Commissioned(of_node(node, options.target), options.converters, i_max)
+        recording = Recording(_in(options.report, RUN_NAME), {"test": "commission"}, overwrite=options.overwrite)
+        rig.prepare([channels(rig)], recording, held=True, full=True)
+        began = rig.tick()
+        stand = Stand(rig, i_max)
+        agreed = options.yes or bool(node.identity.features & Feature.SIMULATED)
+        for number, step in enumerate(steps):
+            words = f"{step.name} ({number + 1} of {len(steps)}): {step.announcement(stand)}"
+            screen.note(words)
+            if step.energises and not agreed and number and steps[number - 1].energises:
+                rig.ask(f"{step.name} with up to {i_max:g} A: if that may go on")
+            screen.progress(step.name)
+            if not _take(rig, stand, step, done, partial(_write, options.report)):
+                break
+        done.seconds = (rig.tick() - began) / rig.recorder.tick_hz
+    if options.report is not None:
+        _dump(options.report / FOUND, done.as_json())
+    return done
+
+
+def _agreed_current(rig: Rig, options: Options) -> float:
+    """A: what was asked for, or of a simulated drive its i_max. BenchError where nobody has named it."""
+    if options.current_a is not None:
+        return options.current_a
+    node = rig.drive.node
+    if node.identity.features & Feature.SIMULATED and node.has_parameter("i_max"):
+        return float(node.parameter("i_max").value)
+    raise BenchError("no measurement gives the largest current that the motor bears: name it with --current A")
+
+
+def _take(rig: Rig, stand: Stand, step: Step, done: Commissioned, written: Callable[[Step, Outcome], None]) -> bool:
+    """Take one step, and whether it has found what it is for."""
+    first = rig.tick() / rig.recorder.tick_hz
+    try:
+        done.outcomes[step.name] = outcome = step.perform(stand)
+        verdict = Verdict.PASS
+    except Refused as refused:
+        done.refused[refused.step] = refused.reason
+        verdict = Verdict.FAIL
+    rig.mark(step.name, (first, rig.recorder.newest / rig.recorder.tick_hz), verdict)
+    if verdict is Verdict.PASS:
+        written(step, outcome)
+    return verdict is Verdict.PASS
+
+
+def _write(report: Path | None, step: Step, outcome: Outcome) -> None:
+    """The evidence of a step: its picture, and all that is in it as numbers."""
+    if report is None:
+        return
+    from bench.commission.draw import draw
+    from bench.report.style import save
+
+    save(draw(outcome.evidence), report / f"{step.name}.png")
+    _dump(report / f"{step.name}.json", outcome.evidence.as_json())
+
+
+def _dump(path: Path, data: object) -> None:
+    write(path, json.dumps(finite(data), indent=1, allow_nan=False) + "\n", str(path))
+
+
+def _in(report: Path | None, name: str) -> Path | None:
+    return None if report is None else report / name

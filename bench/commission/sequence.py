@@ -1,0 +1,54 @@
+"""The steps of a commissioning, in their order, and what each needs of those before it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from bench.commission.outcome import Outcome
+from bench.commission.stand import Stand
+from bench.commission.steps import first_current, inductance, offsets, resistance
+from bench.errors import BenchError
+from protocol.text import did_you_mean
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step: what it is called, what it says before it begins, and what it does."""
+
+    name: str
+    aliases: tuple[str, ...]
+    needs: tuple[str, ...]
+    """Steps whose findings it goes by."""
+    energises: bool
+    announcement: Callable[[Stand], str]
+    perform: Callable[[Stand], Outcome]
+
+
+STEPS = (
+    Step(offsets.STEP, ("noise",), (), False, offsets.announcement, offsets.perform),
+    Step(first_current.STEP, ("first",), (offsets.STEP,), True, first_current.announcement, first_current.perform),
+    Step(resistance.STEP, ("r", "dead-time"), (first_current.STEP,), True, resistance.announcement, resistance.perform),
+    Step(inductance.STEP, ("l",), (resistance.STEP,), True, inductance.announcement, inductance.perform),
+)
+"""In their order."""
+
+
+def chosen(names: Iterable[str] | None) -> tuple[Step, ...]:
+    """The steps of these names, None: all, with all that they need, in their order. BenchError for an unknown name."""
+    if names is None:
+        return STEPS
+    known = {name: step for step in STEPS for name in (step.name, *step.aliases)}
+    wanted: set[str] = set()
+    for name in names:
+        if name.lower() not in known:
+            hint = did_you_mean(name, known, f"there are {', '.join(step.name for step in STEPS)}")
+            raise BenchError(f"no step '{name}' of a commissioning: {hint}")
+        _add(known[name.lower()], known, wanted)
+    return tuple(step for step in STEPS if step.name in wanted)
+
+
+def _add(step: Step, known: dict[str, Step], wanted: set[str]) -> None:
+    wanted.add(step.name)
+    for name in step.needs:
+        _add(known[name], known, wanted)

@@ -1,0 +1,253 @@
+"""What a step does with a drive: outputs on and off, a made angle, voltages, currents, test signals, and windows.
+
+Everything goes through the drive of a `Rig`, within the envelope that was announced, and the rig puts parameters back.
+Beside that a stand looks at what flows: a voltage has no limit of its current, so each window that shows more than was
+agreed to ends the step with the outputs off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from bench.commission.refusal import Refused
+from bench.commission.window import Edges, Floats, Window
+from bench.errors import BenchError
+from bench.rig.drive import DriveTripped
+from bench.rig.needs import offers
+from bench.rig.rig import Rig
+from bench.signal.capture import Capture
+from protocol.descriptor import Channel
+from protocol.signals import Status
+
+NEED = "bench commission"
+CHANNELS = ("i_a", "i_b", "i_c", "u_alpha", "u_beta", "u_dc", "theta_ctrl", "status")
+WITH_ENCODER = "theta_enc"
+TRIP = 1.6
+"""Times the agreed current at which the drive itself trips meanwhile."""
+BEYOND = 1.15
+"""Times the agreed current above which a window ends the step."""
+FASTEST_TURN = math.tau
+"""rad/s with which the made angle moves at rest."""
+GENTLE = {"bw_current": 0.0, "R_s_hat": 0.0, "L_s_hat": 0.0, "psi_f_hat": 0.0, "dead_time_comp": 0.0}
+"""Parameters that are as small as the drive allows while nothing is known: its current loop does next to nothing."""
+
+
+def channels(rig: Rig) -> tuple[Channel, ...]:
+    """What a commissioning streams: with the encoder, where the drive has one and the bench too."""
+    node = rig.drive.node
+    there = {channel.name for channel in node.descriptor.channels}
+    encoder = (WITH_ENCODER,) if WITH_ENCODER in there and node.encoder else ()
+    return node.channels([*CHANNELS, *encoder])
+
+
+class Stand:
+    """The drive of a prepared `rig`, with at most `i_max` A, peak, and what is known of it so far."""
+
+    def __init__(self, rig: Rig, i_max: float) -> None:
+        self.rig = rig
+        self.i_max = i_max
+        self.step = "prepare"
+        """The step that is under way: what a refusal names."""
+        self.T = 1.0 / rig.drive.node.identity.pwm_hz
+        self.offsets: Floats = np.zeros(3)
+        """A, of the three current sensors."""
+        self.gains: Floats = np.ones(3)
+        """Of the three current sensors, beside their mean."""
+        self.noise = 0.0
+        """A, standard deviation of a sample of one sensor."""
+        self.u_dc = 0.0
+        self.R, self.L = math.nan, math.nan
+        """Ohm and henry, as well as they are known; nan before the first current."""
+        self.dead_time = 0.0
+        """s, the effective one, once it is known."""
+        self.heat = 0.0
+        """A2 s of the current's amplitude so far."""
+        self._heated = -1  # tick up to which it is counted
+        self._asked = 0.0  # A, the amplitude of the current that was last asked for
+        if rig.rate < rig.drive.node.identity.pwm_hz * (1 - 1e-9):
+            raise BenchError(
+                f"the link carries {rig.rate:g} samples a second of {len(rig.channels)} channels, and a commissioning "
+                f"needs every PWM period ({rig.drive.node.identity.pwm_hz} Hz): use a faster link"
+            )
+
+    @property
+    def u_linear(self) -> float:
+        """V, the largest voltage vector without overmodulation."""
+        return self.u_dc / math.sqrt(3.0)
+
+    # -- parameters ---------------------------------------------------------------------------------------------
+
+    def know_nothing(self) -> None:
+        """Of a drive at rest: its loop gentle, its trip near the agreed current, its angle from no Hall sensor."""
+        node, drive = self.rig.drive.node, self.rig.drive
+        for name, least in GENTLE.items():
+            if node.has_parameter(name):
+                drive.set(name, max(least, node.parameter(name).lo))
+        for name in ("dead_time_learn", "learn_edges", "inject", "load_angle_comp"):
+            if node.has_parameter(name):
+                drive.set(name, 0.0)
+        if node.has_parameter("i_trip"):
+            drive.set("i_trip", min(drive.parameters["i_trip"], TRIP * self.i_max))
+        if offers(node, "encoder"):
+            drive.observe("encoder")
+
+    def allow_voltage(self, volts: float) -> None:
+        """Of a drive at rest: the largest voltage that it takes from VOLTAGE and from a test signal."""
+        allowed = self.rig.drive.node.parameter("u_test_max")
+        self.rig.drive.set("u_test_max", min(volts, allowed.hi))
+
+    def set(self, **values: float) -> None:
+        """Parameters, within what the drive allows of each; the rig puts them back at its end."""
+        for name, value in values.items():
+            if self.rig.drive.node.has_parameter(name):
+                allowed = self.rig.drive.node.parameter(name)
+                self.rig.drive.set(name, min(max(value, allowed.lo), allowed.hi))
+
+    # -- outputs ------------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def running(self, step: str, angle: float = 0.0) -> Iterator[None]:
+        """Within this the outputs are on, at a made angle (electrical rad) and no current; then they are off.
+
+        Raises Refused where the drive trips.
+        """
+        drive = self.rig.drive
+        self.step = step
+        try:
+            drive.start()
+            with drive.node.unwaited():
+                drive.current(0.0, 0.0)
+                self.turn_to(angle)
+                yield
+        except DriveTripped as error:
+            raise Refused(step, self._why_tripped(error)) from error
+        finally:
+            self._asked = 0.0
+            drive.stop()
+
+    def _why_tripped(self, error: DriveTripped) -> str:
+        faults = self.rig.drive.faults
+        hint = {
+            "OVERCURRENT": "a winding has a short, or the current loop is unstable",
+            "UNDERVOLTAGE": "the supply limits its current, or is switched off",
+            "OVERVOLTAGE": "the motor feeds the DC link, which nothing takes the energy of",
+            "OVERLOAD": "the winding is not meant for this current: lower --current, or check i_cont and i2t_max",
+        }
+        reasons = [hint[name] for name in faults if name in hint]
+        return f"{error}" + (f" ({'; '.join(reasons)})" if reasons else "")
+
+    def turn_to(self, angle: float) -> None:
+        """Move the made angle there, at rest, and wait until it is there."""
+        drive = self.rig.drive
+        drive.force_angle(angle)
+        self._follow()
+        there = math.remainder(angle, math.tau)
+        near = lambda: abs(math.remainder(self.rig.latest("theta_ctrl") - there, math.tau)) < 2e-3  # noqa: E731
+        if not self.rig.until(near, math.pi / FASTEST_TURN + 0.3):
+            raise Refused(self.step, f"the drive's forced angle did not go to {math.degrees(there):.0f} deg")
+
+    def voltage(self, u_d: float, u_q: float = 0.0) -> None:
+        """Give the voltage, V, in the frame of the made angle."""
+        self._follow()
+        self.rig.drive.voltage(u_q, u_d)
+
+    def current(self, i_d: float, i_q: float = 0.0) -> None:
+        """Ask the current loop for a current, A, in the frame of the made angle."""
+        self._follow()
+        self.rig.drive.current(i_q, i_d)
+        self._asked = math.hypot(i_d, i_q)
+
+    def ramp(self, first: float, last: float, seconds: float, steps: int = 12) -> None:
+        """A d current that grows in steps, for a rotor that comes with it."""
+        for share in np.linspace(first, last, steps):
+            self.current(float(share))
+            self.wait(seconds / steps)
+
+    @contextmanager
+    def square(self, axis: str, amplitude: float, periods: int) -> Iterator[None]:
+        """Within this a square wave is added: `axis` is u_d or u_q (V), i_d or i_q (A); see `Drive.square`."""
+        with self.rig.drive.square(axis, amplitude, periods):
+            yield
+
+    # -- what flows ---------------------------------------------------------------------------------------------
+
+    def run(self, seconds: float, kind: str = "") -> Window:
+        """The next `seconds`, as a window. Raises Refused where more flows than was agreed to, or samples are lost."""
+        self._follow()
+        return self._checked(self._window(self.rig.record(seconds), kind))
+
+    def _checked(self, window: Window) -> Window:
+        most = float(np.abs(window.i).max(initial=0.0))
+        if most > BEYOND * self.i_max + 6.0 * self.noise and self.noise:
+            raise Refused(self.step, f"{most:.3g} A flowed, and {self.i_max:g} A were agreed to: switched off")
+        return window
+
+    def look(self, seconds: float) -> Window:
+        """The same as the link carries it, whatever its rate: to see whether a current flows."""
+        self._follow()
+        return self._checked(self._window(self.rig.streamed(seconds), ""))
+
+    def wait(self, seconds: float) -> None:
+        """Let it go on for so long."""
+        self.rig.wait(seconds)
+        self._follow()
+
+    def _window(self, capture: Capture, kind: str) -> Window:
+        if capture.dropped:
+            raise Refused(self.step, f"samples were lost: {capture.dropped[0][2]}; measure again, on a faster link")
+        window = window_of(capture, self.T, self.offsets, kind)
+        first, last = int(capture.samples.tick[0]), int(capture.samples.tick[-1])
+        if self._heated >= 0:
+            between = max(first - self._heated, 0) / self.rig.recorder.tick_hz
+            self.heat += between * self._mean_square(self._heated, first)
+        own = max(float(np.mean(np.abs(window.current) ** 2)) - self._square_of_noise, 0.0)
+        self.heat += own * window.seconds
+        self._heated = last
+        return replace(window, i_ref=complex(self._asked, 0.0))
+
+    @property
+    def _square_of_noise(self) -> float:
+        return 4.0 / 3.0 * self.noise**2
+
+    def _mean_square(self, first: int, last: int) -> float:
+        """A2 between two windows: as streamed, or of the current that was asked for where the drive held samples."""
+        if self.rig.full_rate is not None or last <= first + 1:
+            return self._asked**2
+        between = window_of(self.rig.between(first, last), self.T, self.offsets, "")
+        return max(float(np.mean(np.abs(between.current) ** 2)) - self._square_of_noise, 0.0)
+
+    def _follow(self) -> None:
+        self.rig.drive.node.watch_setpoints()
+
+
+def window_of(capture: Capture, T: float, offsets: Floats, kind: str) -> Window:
+    """What was streamed at the PWM rate, as a window; `offsets`, A, shape (3,), of the current sensors."""
+    samples, edges = capture.samples, capture.edges
+    tick = samples.tick
+    per = (tick[-1] - tick[0]) / max(int(samples.index[-1] - samples.index[0]), 1) or 1.0
+    theta = None
+    if WITH_ENCODER in capture:
+        theta = capture[WITH_ENCODER]
+    status = samples.raw["status"].astype(np.int64)
+    return Window(
+        T=T,
+        i=np.stack([capture[name] for name in ("i_a", "i_b", "i_c")]) - offsets[:, None],
+        u=np.asarray(capture["u_alpha"] + 1j * capture["u_beta"]),
+        u_dc=capture["u_dc"],
+        theta=theta,
+        control=capture["theta_ctrl"],
+        index=samples.index,
+        cycle=(status & Status.INJECTION_SYNC) != 0,
+        edges=Edges(
+            edges.hall_old.astype(np.int64),
+            edges.hall_new.astype(np.int64),
+            (edges.tick - tick[0]) / per + float(samples.index[0]),
+            edges.encoder.astype(np.int64),
+        ),
+        kind=kind,
+    )

@@ -1,0 +1,224 @@
+"""Step 2: resistance, and the volts that the dead time takes, told apart.
+
+A d current in steps, up and down, at three angles. Where no phase is near zero, u = R i + 4/3 U + c i E: the vector of
+the signs of three phase currents is 4/3 along the current, U is what the dead time and the switches take of a phase,
+and E, the square of the current added up since the first one, is the heat in the winding, which goes out with it. So R
+is that of the winding as it was before anything had flown. What the currents' sum is not zero by tells the gains of the
+three sensors apart, but for their mean.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.commission.least_squares import Fit, fit
+from bench.commission.outcome import Evidence, Outcome, Panel
+from bench.commission.quantity import Quantity
+from bench.commission.refusal import Refused
+from bench.commission.stand import Stand
+from bench.commission.window import Booleans, Floats, Window, clarke
+
+STEP = "resistance"
+ANGLES = (0.0, 2.0 * math.pi / 3.0, -2.0 * math.pi / 3.0)
+LEVELS = np.concatenate([np.geomspace(0.01, 0.2, 9), np.linspace(0.28, 0.75, 6)])
+"""Currents as shares of the agreed one."""
+ALIGNED = 0.5
+"""The share with which the rotor is brought to the angle."""
+FULL = 0.25
+"""Share of the agreed current from which the dead time's volts do not change any more."""
+SETTLE, MEASURE = 0.012, 0.03
+"""s of each level."""
+BLOCKS = 6
+"""Parts of a window, whose scatter weighs it."""
+LEAST_SD = 2e-4
+"""V: what the mean of a window is known to at best."""
+RESTLESS = 6.0
+"""Times the usual scatter within a window from which its rotor was not at rest yet: it is left out."""
+FLOOR_R, FLOOR_U = 1e-3, 2.5e-3
+"""Standard deviations that the method leaves, relative."""
+FLOOR_NOISE = 0.11
+"""And what it leaves of R on a drive that is too large for the motor: so many times noise over agreed current."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """A window at a level, and the heat in the middle of it, A2 s."""
+
+    window: Window
+    heat: float
+
+
+@dataclass(frozen=True)
+class Winding:
+    """What the levels say."""
+
+    R: float
+    """Ohm, in the drive's units."""
+    gains: Floats
+    """Of the three current sensors, shape (3,), of mean 1."""
+    dead_time: float
+    """s, the effective one."""
+    outcome: Outcome
+
+
+@dataclass(frozen=True)
+class _Levels:
+    """Means of the windows, each of shape (n,) or (n, 3)."""
+
+    angle: Floats
+    phases: Floats
+    u: Floats
+    sd: Floats
+    heat: Floats
+    u_dc: Floats
+
+
+def _means(held: Sequence[Held]) -> _Levels:
+    angle = np.array([float(np.angle(np.exp(1j * each.window.control).mean())) for each in held])
+    u = [each.window.u * np.exp(-1j * at) for each, at in zip(held, angle, strict=True)]
+    blocks = [x.real[: len(x) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1) for x in u]
+    return _Levels(
+        angle,
+        np.array([each.window.i.mean(axis=1) for each in held]),
+        np.array([float(x.real.mean()) for x in u]),
+        np.array([float(x.std(ddof=1)) / math.sqrt(BLOCKS) for x in blocks]),
+        np.array([each.heat for each in held]),
+        np.array([float(each.window.u_dc.mean()) for each in held]),
+    )
+
+
+def mismatch(phases: Floats) -> tuple[Floats, Floats]:
+    """Gains of three current sensors, of mean 1, shape (3,), and their sd, from means of currents, shape (n, 3), A.
+
+    The true currents add up to zero; what the sensors' offsets have moved by since is fitted beside.
+    """
+    a, b, c = phases.T
+    found = fit(np.stack([a - c, b - c, np.ones_like(a)], axis=1), a + b + c)
+    gains = np.array([found.x[0], found.x[1], -found.x[0] - found.x[1]])
+    turn = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, -1.0]])
+    covariance = turn @ found.covariance[:2, :2] @ turn.T
+    return 1.0 + gains - gains.mean(), np.sqrt(np.diag(covariance))
+
+
+def analyse(held: Sequence[Held], i_max: float, noise: float) -> Winding:
+    """R, U and the effective dead time of levels that cover FULL and more of `i_max`, A; `noise`: A, of a sample.
+
+    Refused where the levels do not tell them apart.
+    """
+    of = _means(held)
+    gains, gains_sd = mismatch(of.phases)
+    i = np.asarray((clarke((of.phases / gains).T) * np.exp(-1j * of.angle)).real)
+    usual = max(float(np.median(of.sd)), LEAST_SD)
+    still = of.sd < RESTLESS * usual
+    if still.mean() < 0.5:
+        raise Refused(STEP, "the rotor does not come to rest: hold the shaft, or take off what swings on it")
+    full = (i > FULL * i_max) & still
+    A = np.stack([i, np.ones_like(i), i * of.heat], axis=1)
+    weights = 1.0 / np.maximum(of.sd, LEAST_SD)
+    try:
+        found = fit(A[full], of.u[full], weights[full])
+    except ValueError as error:
+        raise Refused(STEP, f"the levels of current do not tell R: {error}") from None
+    R, offset, warming = (float(x) for x in found.x)
+    if R <= 0.0:
+        raise Refused(STEP, f"the voltage falls where the current grows ({R:.3g} ohm): check the phases' wires")
+    sd = found.sd * found.inflation()
+    u_dc, T = float(of.u_dc.mean()), held[0].window.T
+    by_noise = FLOOR_NOISE * noise / i_max
+    parts = {
+        "noise": float(sd[0]),
+        "method": R * math.hypot(FLOOR_R, by_noise),
+        "angles": _by_angle(of, i, full, found),
+    }
+    U = 0.75 * offset
+    U_parts = {"noise": 0.75 * float(sd[1]), "method": abs(U) * FLOOR_U + by_noise * R * FULL * i_max}
+    to_time = T / u_dc
+    heated = float(of.heat.max())
+    quantities = (
+        Quantity("R_s", "Ω", R, parts, volts=1.0, amperes=-1.0),
+        Quantity("U_dead", "V", U, U_parts, volts=1.0),
+        Quantity("t_dead", "s", U * to_time, {name: part * to_time for name, part in U_parts.items()}),
+        *(Quantity(f"gain_{name}", "1", float(gain), {"noise": float(s)})
+          for name, gain, s in zip("abc", gains, gains_sd, strict=True)),
+    )  # fmt: skip
+    figures = {
+        "R": R, "offset": offset, "warming": warming, "heat": heated, "warmed_by": warming * heated / R,
+        "windows": float(len(held)), "windows_at_rest": float(still.sum()),
+        "inflation": found.inflation(), "naive_R": R + offset / (0.5 * i_max),
+        **{f"sd_{name}": float(s) for name, s in zip(("R", "offset", "warming"), sd, strict=True)},
+    }  # fmt: skip
+    evidence = Evidence("Resistance, and the dead time's volts", _panels(of, i, full, found), figures)
+    return Winding(R, gains, max(U, 0.0) * to_time, Outcome(quantities, evidence, tuple(_remarks(figures))))
+
+
+def _by_angle(of: _Levels, i: Floats, full: Booleans, found: Fit) -> float:
+    """Ohm: what R scatters by from angle to angle, as one of their mean."""
+    rest = of.u - np.stack([i, np.ones_like(i), i * of.heat], axis=1) @ found.x
+    weights = 1.0 / np.maximum(of.sd, LEAST_SD)
+    slopes = []
+    for angle in np.unique(np.round(of.angle, 3)):
+        own = full & (np.abs(of.angle - angle) < 0.01)
+        if int(own.sum()) > 3:
+            slopes.append(fit(np.stack([i[own], np.ones(int(own.sum()))], axis=1), rest[own], weights[own]).x[0])
+    return float(np.std(slopes, ddof=1)) / math.sqrt(len(slopes)) if len(slopes) > 1 else 0.0
+
+
+def _remarks(figures: dict[str, float]) -> list[str]:
+    remarks = []
+    if abs(figures["warmed_by"]) > 0.01:
+        kelvin = figures["warmed_by"] / 0.0039
+        remarks.append(
+            f"the winding warmed by about {kelvin:.1f} K meanwhile; R_s is that of before, {figures['R']:.4g} ohm"
+        )
+    return remarks
+
+
+def _panels(of: _Levels, i: Floats, full: Booleans, found: Fit) -> tuple[Panel, ...]:
+    R, offset, warming = found.x
+    order = np.argsort(i)
+    line = np.array([0.0, float(i.max())])
+    cold = of.u - warming * i * of.heat
+    weight = 1.0 / np.maximum(of.sd, LEAST_SD)[full]
+    shape = (cold - R * i) / offset if offset else np.zeros_like(i)
+    return (
+        Panel("d current", "A", "d voltage, heating taken out", "V",
+              {"levels": (i[order], cold[order]), "fit": (line, R * line + offset)}),
+        Panel("d current", "A", "residuals", "V", {"levels": (i[full], found.residuals / weight)}),
+        Panel("d current", "A", "dead time's volts, share", "1", {"levels": (i[order], shape[order])}),
+    )  # fmt: skip
+
+
+def perform(stand: Stand) -> Outcome:
+    """Hold the levels, and tell the stand and the drive's current loop what follows."""
+    held: list[Held] = []
+    with stand.running(STEP):
+        for angle in ANGLES:
+            stand.turn_to(angle)
+            stand.ramp(0.1 * stand.i_max, ALIGNED * stand.i_max, 0.24)
+            stand.wait(0.25)
+            for share in (*LEVELS, *LEVELS[::-1]):
+                stand.current(float(share) * stand.i_max)
+                stand.wait(SETTLE)
+                before = stand.heat
+                window = stand.run(MEASURE, "forced")
+                own = float(np.mean(np.abs(window.current) ** 2)) * window.seconds
+                held.append(Held(window, max(stand.heat - 0.5 * own, before)))
+            stand.current(0.0)
+            stand.wait(0.02)
+    found = analyse(held, stand.i_max, stand.noise)
+    stand.R, stand.gains, stand.dead_time = found.R, found.gains, found.dead_time
+    stand.set(R_s_hat=found.R)
+    return found.outcome
+
+
+def announcement(stand: Stand) -> str:
+    """What will be done."""
+    most = LEVELS.max() * stand.i_max
+    return (
+        f"{len(LEVELS)} levels of d current up to {most:.3g} A, up and down, at three angles, "
+        f"about {len(ANGLES) * (2 * len(LEVELS) * (SETTLE + MEASURE) + 0.9):.0f} s; the shaft moves to each angle"
+    )
