@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.commission.analysis.flux import ALONG_D, FLUX_FLOOR, LEAST_PARTS, SETTLE, STEADY, STEP
+from bench.commission.analysis.flux import ALONG_D, FLUX_FLOOR, LEAST_PARTS, SETTLE, STEADY, STEP, ripple_delay
 from bench.commission.analysis.stretches import merged, parts
 from bench.commission.least_squares import fit
 from bench.commission.quantity import Quantity
@@ -48,13 +48,15 @@ class Rotation:
     """V, of the voltage along its phase."""
     i: complex
     """A: i_d + j i_q in the mean, by that phase."""
+    ahead: float
+    """rad per rad/s, by which that phase is ahead of the rotor."""
     along: bool
     """Whether the current was commanded along the flux; else against it."""
 
     def theta(self, index: Floats) -> Floats:
         """rad, electrical, not wrapped: of the rotor flux at these PWM periods."""
         phase = np.polyval(self.phase, (index - self.first) / self.half)
-        return np.asarray(phase - math.copysign(0.5 * math.pi, self.w))
+        return np.asarray(phase - math.copysign(0.5 * math.pi, self.w) - self.ahead * self.w)
 
     def speed(self, index: Floats) -> Floats:
         """rad/s per s of PWM period counted as one: rad a PWM period at these."""
@@ -86,7 +88,7 @@ def rotations(windows: Sequence[Window], R: float, L_q: float, dead_time: float 
         for part in parts(phase, window.T):
             found = _rotation(v[part], middle[part], phase[part], window, window.index[0] + begin + part.start)
             if found is not None:
-                yield found
+                yield replace(found, ahead=ripple_delay(R, L_q, window.T))
 
 
 def _rotation(v: Complexes, i: Complexes, phase: Floats, window: Window, at: float) -> Rotation | None:
@@ -109,7 +111,7 @@ def _rotation(v: Complexes, i: Complexes, phase: Floats, window: Window, at: flo
         return None
     shrink = float(np.sinc(0.5 * w * window.T / math.pi))
     middle = at + 0.5 + half  # the first voltage lies between the samples `at` and `at` + 1
-    return Rotation(middle, half, curve, w, shrink, float(mean.real), complex(i_dq.mean()), window.kind == "d+")
+    return Rotation(middle, half, curve, w, shrink, float(mean.real), complex(i_dq.mean()), 0.0, window.kind == "d+")
 
 
 def flux_by_back_emf(

@@ -143,13 +143,18 @@ class Bench:
         t = np.arange(n) * T
         y = found.sol(t)
         u = np.zeros(n, complex)
-        lost = np.zeros(n, complex)
+        lost, moment = np.zeros(n, complex), np.zeros(n, complex)
         for node, weight in zip(NODES, WEIGHTS, strict=True):
             at = found.sol(np.clip(t + (node - 1.0) * T, 0.0, None))
             turn = np.exp(1j * at[3])
             voltage, _, current = law(at[0] + 1j * at[1], at[2], at[3], at[4] + 1j * at[5], np.exp)
             u += weight * turn * voltage
+            moment += weight * (1.0 - node) * turn * voltage
             lost += weight * _signs(turn * current)
+        # the drive holds the mean over the period: the current then lies beside its smooth course, and R takes of that
+        middle = np.exp(1j * (y[3] - 0.5 * T * y[2]))
+        beside = T * (0.5 * u - moment) / middle
+        u += m.R * middle * (beside.real / m.L_d + 1j * beside.imag / m.L_q)
         i = self._terminal(y[0] + 1j * y[1], y[2], y[3])
         sampled = i + self.drive.late * self._without_voltage(i, y[2])
         return self._window(kind, i_ref, y[3], y[2], sampled * np.exp(1j * y[3]), u + self.drive.U * lost)
