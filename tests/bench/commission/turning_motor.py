@@ -299,23 +299,6 @@ def _signs(i: np.ndarray) -> np.ndarray:
     return 2.0 / 3.0 * np.sum(signs * np.exp(1j * math.tau / 3.0 * np.arange(3)[:, None]), axis=0)
 
 
-def spin(
-    bench: Bench, I: float, top: float, *, laps: int = 1, held: float = 0.06, torque: bool = False
-) -> list[Window]:
-    """Up by 0.7 I on q, +I and -I on d twice, coasting, both ways, `laps` times: the trial's spin."""
-    windows = []
-    for way in (1.0, -1.0):
-        for _ in range(laps):
-            bench.w = way * 0.02 * top
-            windows.append(bench.hold("up", 0.7j * way * I, 4.0, top))
-            if torque:
-                windows.append(bench.hold("q", 1j * way * I, 0.045))
-            for _ in range(2):
-                windows += [bench.hold("d+", I + 0j, held), bench.hold("d-", -I + 0j, held)]
-            windows.append(bench.coast(0.7, 0.25 * top))
-    return windows
-
-
 def along_d(bench: Bench, I: float, top: float, held: float = 0.065) -> list[Window]:
     """+I and -I on d, from a speed on, both ways."""
     windows = []
