@@ -26,8 +26,9 @@ from bench.signal.trace import Edges
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS, edge_passages
 
 STEP = "edges"
-DELAY_FLOOR = 1.5e-7
-"""s, sd, of the delay of the sensors: of the trial, in which it was 0.06 us in the median and 0.57 at worst."""
+DELAY_FLOOR = 4e-7
+"""s, sd, of the delay of the sensors: where each edge of the turn was passed a few times only, `edge_fit` takes a part
+of the delay for what pole pairs add, up to 0.6 us of synthetic benches that coast for 0.4 s."""
 BLIND_FLOOR = math.radians(0.15)
 """rad, sd, of an edge by the back-EMF: in the trial 0.10 deg in the median, 0.31 at worst."""
 PAIRS_FLOOR = math.radians(0.3)
@@ -106,7 +107,13 @@ def hall_edges(
     eye = np.eye(SECTORS)
     noise = np.concatenate([fit.sd(np.hstack([eye, way * 0.5 * eye])) for way in (1.0, -1.0)])
     missing = 0.0 if fit.apart else PAIRS_FLOOR / math.sqrt(n_p) if n_p > 1 else 0.0
-    shared = {"zero": found.zero.sd, "pole pairs": missing}
+    by_count = _by_count(edges.omega, tick_hz / TICKS, n_p, counts)
+    shared = {
+        "zero": found.zero.sd,
+        "pole pairs": missing,
+        "encoder's counts": by_count,
+        "delay": fit.speed * DELAY_FLOOR,
+    }
     up, down = quantities(
         {"up": (fit.place + half).tolist(), "down": (fit.place - half).tolist()},
         sits if ring is None else ring,
@@ -114,7 +121,8 @@ def hall_edges(
     )
     delay = Quantity(
         "hall_delay", "s", float(np.mean(fit.delay)),
-        {"noise": float(np.sqrt(np.mean(fit.delay_sd**2))), "encoder's delay": found.delay.sd, "method": DELAY_FLOOR},
+        {"noise": float(np.sqrt(np.mean(fit.delay_sd**2))), "encoder's delay": found.delay.sd,
+         "encoder's counts": by_count / max(fit.fastest - fit.slowest, 1e-9), "method": DELAY_FLOOR},
     )  # fmt: skip
     of_ring = float(fit.sd(np.full((1, SECTORS), 1.0 / SECTORS))[0])
     jitter = float(np.sqrt(np.nanmean(fit.jitter**2)))
@@ -127,6 +135,18 @@ def hall_edges(
         fit.passages,
         fit.aside,
     )
+
+
+def _by_count(omega: Floats, pwm_hz: float, n_p: int, counts: int) -> float:
+    """rad, sd of the mean of the pole pairs' edges: one lies at one place within a count, while the shaft is slow.
+
+    A shaft that passes more than a count from sample to sample meets each edge at another one each time.
+    """
+    if not counts:
+        return 0.0
+    step = math.tau * n_p / abs(counts)
+    slow = float(np.mean(np.clip(1.5 - np.abs(omega) / pwm_hz / step, 0.0, 1.0)))
+    return slow * step / math.sqrt(12.0 * n_p)
 
 
 def _require_told(fit: EdgeFit | None) -> None:

@@ -64,11 +64,11 @@ def test_the_stated_intervals_hold_over_benches() -> None:
     inside(found, want)
     inside(delays, late)
     off = np.degrees([each.value - value for each, value in zip(found, want, strict=True)])
-    assert np.abs(off).max() < 0.1
-    assert np.median([math.degrees(each.half_width) for each in found]) < 0.1
+    assert np.abs(off).max() < 0.15
+    assert np.median([math.degrees(each.half_width) for each in found]) < 0.15
     z = np.array([each.value - value for each, value in zip(found, want, strict=True)])
     z /= [each.parts["noise"] for each in found]
-    assert 0.3 < math.sqrt(float(np.mean(z**2))) < 2.0
+    assert 0.3 < math.sqrt(float(np.mean(z**2))) < 3.0
 
 
 def test_pole_pairs_are_told_apart_across_gaps_by_the_encoders_count() -> None:
