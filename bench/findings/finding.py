@@ -13,8 +13,9 @@ class Finding:
     code: str
     """For scripts: edge_records, hall_codes, dead, contact, bounce, pulses, wiring, hall_setting, displaced, duty,
     late_edges, magnet, unsteady, pole_pairs, encoder_zero, encoder_reversed, encoder_late, encoder_slipped,
-    encoder_slips, encoder_drifts, encoder_eccentric; of a run also flux_linkage, resistance, inductance, speed,
-    position_error, current, current_sum, not_finite, heartbeat; of notes ring, index, delays."""
+    encoder_slips, encoder_drifts, encoder_eccentric; of a commissioning also motor_phases, heavy; of a run also
+    flux_linkage, resistance, inductance, speed, position_error, current, current_sum, not_finite, heartbeat; of notes
+    ring, index, delays."""
     cause: str
     evidence: tuple[str, ...] = ()
     advice: str = ""

@@ -27,7 +27,7 @@ from bench.signal.reference import BackEmf
 from bench.signal.trace import INPUTS, Trace
 from bench.signal.waveforms.samples import checked
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS, sector_of_angle
-from protocol.signals import SECTOR_OF_CODE
+from protocol.signals import INPUT_OF_SENSOR, SECTOR_OF_CODE
 
 AS_SPECIFIED = "as specified"
 NONE_KNOWN = "none of the known wirings"
@@ -222,6 +222,13 @@ def ways(centres: NDArray[np.float64], inverted: int) -> list[Wired]:
         if np.abs(wrap(rings - ring)).max() < SECTOR_WIDTH:
             found += [Wired(sensors, inverted, ring), Wired(sensors, inverted ^ 7, mean_angle(rings + math.pi))]
     return found
+
+
+def hats(wired: Wired, swap: int = 0, inverted: int = 0) -> tuple[float, float]:
+    """`hall_swap_hat` and `hall_invert_hat` for that wiring, as seen by a drive that has these two now."""
+    now = INPUT_OF_SENSOR[swap]
+    swapped = INPUT_OF_SENSOR.index(tuple(now[wired.sensors.index(k)] for k in range(3)))
+    return float(swapped), float(inverted ^ sum((wired.inverted >> k & 1) << now[k] for k in range(3)))
 
 
 def order(found: list[Wired], declared: float | None, zero_known: bool) -> Iterator[Finding]:

@@ -35,7 +35,7 @@ from bench.findings.thresholds import (
     LEARN_WITHIN,
     SET,
 )
-from bench.findings.wiring import Wired
+from bench.findings.wiring import Wired, hats
 from bench.hall.lessons import Lessons
 from bench.rig.restore import not_put_back, put_back
 from bench.signal.edge_fit import OPENS
@@ -45,7 +45,7 @@ from bench.signal.verdict import Verdict
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS
 from protocol.errors import HbpError
 from protocol.messages import Fault
-from protocol.signals import DRIVE_PARAMETERS, INPUT_OF_SENSOR
+from protocol.signals import DRIVE_PARAMETERS
 from sim.observers.hall_edges import EDGES
 
 ZERO = math.radians(0.5)
@@ -164,13 +164,6 @@ def _settings(wired: Wired, parameters: Mapping[str, float]) -> dict[str, float]
     if all(name in parameters for name in HATS):
         settings |= dict(zip(HATS, hats(wired, int(parameters[HATS[0]]), int(parameters[HATS[1]])), strict=True))
     return settings
-
-
-def hats(wired: Wired, swap: int = 0, inverted: int = 0) -> tuple[float, float]:
-    """`hall_swap_hat` and `hall_invert_hat` for that wiring, as seen by a drive that has these two now."""
-    now = INPUT_OF_SENSOR[swap]
-    swapped = INPUT_OF_SENSOR.index(tuple(now[wired.sensors.index(k)] for k in range(3)))
-    return float(swapped), float(inverted ^ sum((wired.inverted >> k & 1) << now[k] for k in range(3)))
 
 
 def _require_consistent(health: Health) -> None:

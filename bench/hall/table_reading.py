@@ -27,8 +27,8 @@ import numpy as np
 from bench.errors import BenchError
 from bench.findings.finding import Finding, degrees
 from bench.findings.thresholds import DISPLACED, SURE, TABLE_SCATTER
-from bench.findings.wiring import CENTRES, Wired, ways
-from bench.hall.learn import HATS, OFFSET, Learnt, hats, within
+from bench.findings.wiring import CENTRES, Wired, hats, ways
+from bench.hall.learn import HATS, OFFSET, Learnt, within
 from bench.hall.tables import COUNT, DETECT, Floats, HallTable
 from bench.signal.hall_edges import mean_angle
 from bench.signal.position import wrap, wrapped

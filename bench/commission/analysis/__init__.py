@@ -1,0 +1,1 @@
+"""What a rotor that turned tells: pole pairs, flux, inertia, friction, Hall edges. Pure functions of windows."""
