@@ -19,7 +19,7 @@ from bench.device.node import Node
 from protocol.canmap.frame import BusRates
 from protocol.links import open_link
 from protocol.links.target import CanTarget
-from protocol.messages import CaptureState, DriveState, Fault
+from protocol.messages import CaptureArm, CaptureReply, CaptureState, DriveState, Fault
 from protocol.signals import STATUS_STATE_MASK
 from sim.config.params import load_params
 from sim.ports.byte_ports import PtyPort, TcpPort
@@ -90,11 +90,11 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
 @pytest.mark.parametrize("drive", EACH, indirect=True)
 def test_now_and_at_a_fault_on_each_link(drive: Drive, tmp_path, capsys) -> None:
     buffers: list[bytes] = []
-    give_up = drive.device.drive.capture.arm
+    arm = drive.device.drive.capture.arm
 
-    def kept(request: object) -> None:
+    def kept(request: CaptureArm, tx_max: int) -> CaptureReply:
         buffers.append(drive.device.drive.capture.blob or b"")
-        give_up(request)  # type: ignore[arg-type]
+        return arm(request, tx_max)
 
     drive.device.drive.capture.arm = kept
     path = tmp_path / "now.run"
