@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from inspect import signature
 from typing import Any
 
 import probe
@@ -43,7 +44,8 @@ def sent(raw: Any) -> tuple[bytes, Any]:
     request = StreamSet(0, StreamEvent.PWM, 1, 100, tuple(c.id for c in WORDS))
     reply = table.configure(request, 1024)
     table.start(1)
-    table.push_samples(0, 0, raw)
+    late = "names" in signature(table.push_samples).parameters  # since samples may be made late
+    table.push_samples(0, 0, raw, *([frozenset(c.name for c in WORDS)] if late else []))
     table.stop(1)
     node: Any = 1 if OLD else identity
     return tx.take(), StreamConfig.of(node, request, reply, descriptor)
