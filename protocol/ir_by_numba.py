@@ -47,6 +47,9 @@ def ir_by_numba(function: Callable[..., None], arguments: list[Any]) -> str:
     text: str = compiled.library.get_llvm_str()
     name = re.escape(compiled.fndesc.llvm_func_name)
     text = re.sub(rf'@"?{name}"?(?=\()', "@kernel", text)
+    for k, other in enumerate(re.findall(r'^define linkonce_odr [^@]*(@"[^"]+"|@[\w.$]+)\(', text, re.MULTILINE)):
+        text = text.replace(f"{other}(", f"@apart{k}(")  # its own name goes by what was compiled before
+    text = text.replace("define linkonce_odr ", "define internal ")
     lines = [line for line in text.splitlines() if not line.startswith(_NOT_FOR_ANY_MACHINE)]
     text = "\n".join([*lines, *_entry(arguments), ""])
     text = re.sub(r'!"_Z[^"]*"', '!""', text)  # descriptions

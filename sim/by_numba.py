@@ -18,7 +18,7 @@ from numba.cpython.unsafe import tuple as numba_tuple
 from numba.extending import intrinsic, lower_builtin, overload, type_callable
 
 from protocol.ir_by_numba import ir_by_numba
-from sim.hints import ahead, seldom
+from sim.hints import ahead, apart, seldom
 from sim.native import SCALARS, Pointer, fields_of, invoke, with_item, zeroed
 
 LINE = 64  # bytes of memory that are fetched together
@@ -73,6 +73,18 @@ def _ahead(context, builder, call, arguments):  # type: ignore[no-untyped-def]
     for begin in range(0, context.get_abi_sizeof(context.get_data_type(call.args[0].dtype)), LINE):
         line = builder.gep(at, [ir.Constant(word, begin)])
         builder.call(prefetch, [line, *(ir.Constant(word, x) for x in (1, 3, 1))])  # to write, to keep, data
+    return context.get_dummy_value()
+
+
+@type_callable(apart)
+def _type_apart(context):  # type: ignore[no-untyped-def]
+    return lambda: types.none
+
+
+@lower_builtin(apart)  # type: ignore[no-untyped-call]
+def _apart(context, builder, call, arguments):  # type: ignore[no-untyped-def]
+    builder.function.attributes.discard("alwaysinline")
+    builder.function.attributes.add("noinline")
     return context.get_dummy_value()
 
 

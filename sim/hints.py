@@ -1,4 +1,4 @@
-"""Hints to the processor, that change nothing. Plain Python has no use for them."""
+"""Hints to processor and compiler, that change nothing. Plain Python has no use for them."""
 
 from __future__ import annotations
 
@@ -14,3 +14,7 @@ def seldom(condition: bool) -> bool:
 
 def ahead(of: Pointer[Any], k: int) -> None:
     """The k-th record will be written soon: its memory is fetched meanwhile; there need be none."""
+
+
+def apart() -> None:
+    """First in a kernel that is large and seldom runs: it stays a function, and is not put into what calls it."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from sim.hints import seldom
+from sim.hints import apart, seldom
 from sim.numba_cache import kernel
 from sim.plant import dead_time, inverter, mechanics, open_phase, pmsm
 
@@ -456,6 +456,7 @@ def _on_axis_rates(
     sin: float,
 ) -> tuple[float, float]:
     """How the flux along the axis (V) and the speed (rad/s2) change where `phase` has no current."""
+    apart()
     motor = params.motor
     e_alpha, e_beta = open_phase.axis(phase)
     i, _, _ = open_phase.current(motor, along, e_alpha, e_beta, cos, sin)
@@ -471,6 +472,7 @@ def _on_axis(
     params: Params, state: State, applied: inverter.Applied, push: mechanics.Push, h: float, phase: int
 ) -> State:
     """`_uneven` where one phase has no current."""
+    apart()
     n_p = params.motor.n_p
     half = 0.5 * h
     omega_m = state.omega_m

@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from protocol.signals import HallSwap
-from sim.hints import seldom
+from sim.hints import apart, seldom
 from sim.numba_cache import kernel
 from sim.plant import inverter, pmsm
 
@@ -127,6 +127,7 @@ def shorted(
     `i_alpha`, `i_beta`, `i`: currents of the motor and of the short at the begin (A). With the outputs off nothing is
     left: their diodes end it within some microseconds.
     """
+    apart()
     if not applied.on:
         return 0.0, applied
     phases = pmsm.phases(i_alpha, i_beta)

@@ -10,6 +10,7 @@ wire, where nobody sees it. The current of a wire ends at once when it breaks: a
 
 from __future__ import annotations
 
+from sim.hints import apart
 from sim.numba_cache import kernel
 from sim.plant import pmsm
 
@@ -39,6 +40,7 @@ def current(
     motor: pmsm.Params, along: float, e_alpha: float, e_beta: float, cos: float, sin: float
 ) -> tuple[float, float, float]:
     """The current (A) with which the linkage along the axis is `along` (V s), and the whole flux (V s) with it."""
+    apart()
     before = 0.0
     lacks, psi_alpha, psi_beta = _linkage(motor, before, e_alpha, e_beta, cos, sin)
     lacks = along - lacks

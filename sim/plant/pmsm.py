@@ -45,7 +45,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from sim.hints import seldom
+from sim.hints import apart, seldom
 from sim.numba_cache import kernel
 
 HALF_SQRT3 = 0.5 * math.sqrt(3.0)
@@ -220,6 +220,7 @@ def currents(params: Params, psi_alpha: float, psi_beta: float, cos: float, sin:
 @kernel
 def _own_flux(params: Params, i_d: float, i_q: float, v_d: float, v_q: float) -> tuple[float, float]:
     """The winding's own flux (V s) that takes these currents (A) where the axes cross, by Newton from a guess."""
+    apart()
     g_d, g_q = params.g_mean + params.g_diff, params.g_mean - params.g_diff
     for _ in range(12):
         linear_d, linear_q = g_d * v_d, g_q * v_q

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from sim.hints import apart
 from sim.numba_cache import kernel
 from sim.plant import integrator, inverter, mechanics, pmsm
 
@@ -82,6 +83,7 @@ def step(
     h: float,
 ) -> tuple[State, integrator.State, float]:
     """`integrator.step` of a winding with skin effect: both states after `h` seconds, and the forced acceleration."""
+    apart()
     motor = plant.motor
     begin_alpha, begin_beta = pmsm.currents(motor, before.psi_alpha, before.psi_beta, before.cos, before.sin)
     end_alpha, end_beta = begin_alpha, begin_beta
