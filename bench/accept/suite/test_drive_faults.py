@@ -95,10 +95,10 @@ def test_hall_wire_broken(
             hall_faults.open(wire)
             record.until(lambda: bool(drive.faults), 0.5)
             record.wait(0.05)
-        run = stretch.capture
         named = drive.faults == ("HALL",)
         hall_faults.clear()
         drive.forget_faults()
+    run = stretch.capture
     broken, fault = illegal(run), tripped(run)
     measure("trip_time", (fault - broken) / electrical_turn(drive, speed), run)
     measure("named", named)
@@ -191,11 +191,10 @@ def test_hall_wires_exchanged(
         with record.stretch() as stretch:
             drive.speed(rpm=speed)
             record.until(lambda: bool(drive.faults), 0.5)
-        run = stretch.capture
         faults = drive.faults
-        drive.stop()
+        drive.stop()  # before the memory is read, which may take long
         hall_faults.clear()
-        after = record(0.05)
+        run, after = stretch.capture, record(0.05)
         if faults:
             drive.forget_faults()
     measure("current_max", current(run).max(), run)
@@ -330,9 +329,9 @@ def _silence(
             record.until(lambda: bool(drive.faults), 3.0 * _watchdog(drive))
             let_go()
             record.wait(0.05)
-        run, named = stretch.capture, drive.faults == ("WATCHDOG",)
-        heartbeat = drive.node.next_heartbeat()
+        named, heartbeat = drive.faults == ("WATCHDOG",), drive.node.next_heartbeat()
         drive.forget_faults()
+    run = stretch.capture
     last = stepped(run, "omega_ref") if "omega_ref" in run else run.span[0]
     return run, last, named, heartbeat is not None and not heartbeat.outputs_on
 
