@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,3 +93,14 @@ class Window:
     def seconds(self) -> float:
         """s that it lasts."""
         return len(self) * self.T
+
+    def last(self, seconds: float) -> Window:
+        """Its last part of so many s."""
+        begin = max(len(self) - max(round(seconds / self.T), 2), 0)
+        late = self.edges.index >= self.index[begin]
+        edges = Edges(self.edges.old[late], self.edges.new[late], self.edges.index[late], self.edges.count[late])
+        return replace(
+            self, i=self.i[:, begin:], u=self.u[begin:], u_dc=self.u_dc[begin:],
+            theta=None if self.theta is None else self.theta[begin:], control=self.control[begin:],
+            index=self.index[begin:], cycle=self.cycle[begin:], edges=edges,
+        )  # fmt: skip

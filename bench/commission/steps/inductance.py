@@ -28,6 +28,7 @@ from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.stand import Stand
 from bench.commission.window import Floats, Window, clarke
+from bench.rig.envelope import Envelope
 
 STEP = "inductance"
 BIASES = (0.2, 0.35, 0.5, 0.7)
@@ -275,12 +276,13 @@ def perform(stand: Stand) -> Outcome:
     found = analyse(waves, stand.R, stand.gains, stand.i_max, stand.noise)
     stand.L = 0.5 * (found.L_d + found.L_q)
     stand.set(L_s_hat=stand.L)
+    stand.waves, stand.outcomes[STEP] = tuple(waves), found.outcome
     return found.outcome
 
 
-def announcement(i_max: float) -> str:
-    """What will be done, with `i_max` A agreed to."""
+def announcement(agreed: Envelope) -> str:
+    """What will be done, within what was agreed to."""
     return (
-        f"square waves on the voltage beside d currents up to {max(BIASES) * i_max:.3g} A, at one angle, "
+        f"square waves on the voltage beside d currents up to {max(BIASES) * agreed.current:.3g} A, at one angle, "
         "about 5 s; the shaft trembles"
     )
