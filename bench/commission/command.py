@@ -122,7 +122,8 @@ def commission(
     """Take the steps. Raises BenchError and HbpError; the drive is off again, and as it was.
 
     `confirm` asks a person before anything is energised, `ask` before each further step; None where there is nobody.
-    A step that can claim nothing ends it: what was found before stands, and `refused` says why.
+    After a step that can claim nothing, those that need it are not taken, and after a trip none: what was found stands,
+    and `refused` says why.
     """
     steps = chosen(options.steps)
     if options.report is not None:
@@ -155,14 +156,18 @@ def commission(
         rig.prepare([channels(rig)], recording, held=True, full=True)
         began = rig.tick()
         stand = Stand(rig, i_max)
+        missing: set[str] = set()
         for step in steps:
+            if missing & set(step.needs) or rig.drive.faults:
+                missing.add(step.name)
+                continue
             screen.note(said[step])
             if step in energising[1:] and ask is not None and not agreed:
                 speed = f", and up to {agreed_to.rpm:.0f} r/min" if step.spins else ", and turns" if step.turns else ""
                 rig.ask(f"see that the shaft is free for {step.name}, with up to {i_max:g} A{speed}")
             screen.progress(step.name)
             if not _take(rig, stand, step, done, partial(_write, options.report)):
-                break
+                missing.add(step.name)
         done.seconds = (rig.tick() - began) / rig.recorder.tick_hz
     if options.report is not None:
         _dump(options.report / FOUND, done.as_json())

@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from bench.commission.analysis.hall_order import HallOrder
 from bench.commission.outcome import Outcome
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
-from bench.commission.window import Edges, Floats, Window
+from bench.commission.window import Edges, Floats, Wave, Window
 from bench.errors import BenchError
 from bench.rig.drive import DriveTripped
 from bench.rig.needs import offers
@@ -29,9 +28,6 @@ from bench.signal.capture import Capture
 from bench.signal.units import RPM
 from protocol.descriptor import Channel
 from protocol.signals import Status
-
-if TYPE_CHECKING:
-    from bench.commission.steps.inductance import Wave
 
 NEED = "bench commission"
 CHANNELS = ("i_a", "i_b", "i_c", "u_alpha", "u_beta", "u_dc", "theta_ctrl", "status")

@@ -96,11 +96,29 @@ class Window:
 
     def last(self, seconds: float) -> Window:
         """Its last part of so many s."""
-        begin = max(len(self) - max(round(seconds / self.T), 2), 0)
-        late = self.edges.index >= self.index[begin]
-        edges = Edges(self.edges.old[late], self.edges.new[late], self.edges.index[late], self.edges.count[late])
+        return self._part(max(len(self) - max(round(seconds / self.T), 2), 0), len(self))
+
+    def until(self, other: Window) -> Window:
+        """Its part up to where `other` ends."""
+        return self._part(0, int(np.searchsorted(self.index, other.index[-1], side="right")))
+
+    def _part(self, begin: int, end: int) -> Window:
+        edges, first, last = self.edges, self.index[begin], self.index[end - 1]
+        inside = (edges.index >= first) & (edges.index <= last)
+        part = slice(begin, end)
         return replace(
-            self, i=self.i[:, begin:], u=self.u[begin:], u_dc=self.u_dc[begin:],
-            theta=None if self.theta is None else self.theta[begin:], control=self.control[begin:],
-            index=self.index[begin:], cycle=self.cycle[begin:], edges=edges,
+            self, i=self.i[:, part], u=self.u[part], u_dc=self.u_dc[part],
+            theta=None if self.theta is None else self.theta[part], control=self.control[part],
+            index=self.index[part], cycle=self.cycle[part],
+            edges=Edges(edges.old[inside], edges.new[inside], edges.index[inside], edges.count[inside]),
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A window under a square wave of `half` + `half` periods on `axis`, u_d or u_q, beside a d current of `bias` A."""
+
+    window: Window
+    axis: str
+    half: int
+    bias: float

@@ -27,7 +27,7 @@ from bench.commission.outcome import Evidence, Outcome, Panel
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.stand import Stand
-from bench.commission.window import Floats, Window, clarke
+from bench.commission.window import Floats, Wave, clarke
 from bench.rig.envelope import Envelope
 
 STEP = "inductance"
@@ -57,16 +57,6 @@ FLOOR_Q = 3e-3
 """And of L_q without a current, besides."""
 FLOOR_NOISE = 0.2
 """And what it leaves on a drive that is too large for the motor: so many times noise over agreed current."""
-
-
-@dataclass(frozen=True)
-class Wave:
-    """A window under a square wave of `half` + `half` periods on `axis`, u_d or u_q, beside a d current of `bias` A."""
-
-    window: Window
-    axis: str
-    half: int
-    bias: float
 
 
 @dataclass(frozen=True)

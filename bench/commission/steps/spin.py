@@ -1,15 +1,15 @@
 """Step 5: the shaft is spun on the encoder, both ways, and coasts with the outputs off.
 
-It accelerates by a q current that takes it to the top within about a second, at most to the agreed speed and to the
-speed that takes a share of the voltage. There a d current flows, one sign after the other, which makes no torque. Then
-the outputs go off and it coasts: nothing brakes it, because a DC link without a resistor has no place for its energy.
+It accelerates by a q current that takes it to the top within about half a second, at most to the agreed speed and to
+the speed that takes a share of the voltage. There a d current flows, one sign after the other, which makes no torque.
+Then the outputs go off and it coasts: nothing brakes it, because a DC link without a resistor has no place for its
+energy.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -30,19 +30,24 @@ TRIES = 25
 TURNS = 30.0
 """rad/s, electrical, of a shaft that turns."""
 GROWS = 0.02
-"""Of the speed, that it gains within a part of a window of the first try: it accelerates."""
+"""Of the speed, that it gains meanwhile: it accelerates."""
 TOP = 0.6
 """Of the linear voltage, that the top speed takes."""
 WITHIN = 0.9
 """Of the agreed speed."""
-SECONDS = 0.8
-"""s to the top, about."""
+SECONDS = 0.4
+"""s to the top, about: harmonics of the back-EMF make currents that brake, which i_q does not show; beside more torque
+they count for less."""
 OVER_FRICTION = 2.5
 """Times the current that friction takes, at least."""
-LONGEST = 6.0
+LONGEST, LONGEST_COAST = 6.0, 4.0
 """s to the top, and of a coast, at most."""
 LOOK = 0.02
 """s from look to look."""
+AHEAD = 2.0
+"""Looks that may pass until a command has ended what the last one saw."""
+FIRST_LOOKS = 5
+"""Looks at the shaft under each current of the first try."""
 ALONG, PAIRS = 0.08, 3
 """s of a d current of each sign, and how many of each."""
 HEAVY, TORQUE = 0.3, 0.04
@@ -66,6 +71,8 @@ class Spin:
     windows: list[Window] = field(default_factory=list)
     fastest: float = 0.0
     """rad/s, electrical, that was seen."""
+    slope: float = 0.0
+    """rad/s2, electrical, of the last acceleration."""
 
     @property
     def most(self) -> float:
@@ -79,48 +86,67 @@ class Spin:
 
     # -- looks --------------------------------------------------------------------------------------------------
 
-    def look(self, seconds: float = LOOK) -> Window:
+    def look(self) -> Window:
         """The next of it, and how fast it was."""
-        seen = self.stand.look(seconds)
+        seen = self.stand.look(LOOK)
         self.fastest = max(self.fastest, abs(speed(seen)))
         return seen
 
-    def at_the_top(self, seen: Window) -> bool:
-        """Whether it is as fast as it may be."""
-        return abs(_voltage(seen)) > TOP * self.stand.u_linear or abs(speed(seen)) > self.limit
+    def watch(self, seconds: float) -> tuple[list[Window], bool]:
+        """Looks for so long, or until it is as fast as it may be, or will be before a command can end it.
+
+        The looks, and whether that was the end. Refused for a shaft that turns against its torque.
+        """
+        seen = [self.look()]
+        passed = seen[0].seconds
+        while not (top := self.at_the_top(seen)) and passed < seconds:
+            seen.append(self.look())
+            passed += max(seen[-1].seconds, 1e-9)
+            i_q = seen[-1].i_ref.imag
+            if i_q and speed(seen[-1]) * math.copysign(1.0, i_q) < -0.1 * self.limit:
+                raise Refused(STEP, "the shaft turns against its torque: the encoder has slipped, or is wrong")
+        return seen, top
+
+    def at_the_top(self, seen: list[Window]) -> bool:
+        """Whether it will be as fast as it may be when the next looks have been taken."""
+        last = speed(seen[-1])
+        gains = abs(last - speed(seen[-2])) if len(seen) > 1 else 0.0
+        return abs(_voltage(seen[-1])) > TOP * self.stand.u_linear or abs(last) + AHEAD * gains > self.limit
 
     # -- commands -----------------------------------------------------------------------------------------------
 
-    def drive(self, i_d: float, i_q: float, seconds: float, kind: str, until: Callable[[Window], bool]) -> bool:
-        """A current for so long, or until a look says so: whether it has. The window is kept."""
-        self.stand.current(i_d, i_q)
-        began, reached = 0.0, False
-        with self.stand.stretch(kind) as taken:
-            while began < seconds and not reached:
-                seen = self.look(min(LOOK, seconds))
-                began += max(seen.seconds, 1e-9)
-                reached = until(seen)
-                if i_q and speed(seen) * math.copysign(1.0, i_q) < -0.1 * self.limit:
-                    raise Refused(STEP, "the shaft turns against its torque: the encoder has slipped, or is wrong")
-        self.windows.append(taken.window)
+    def accelerate(self, i_q: float) -> bool:
+        """A q current until it is at the top; whether it got there. The window is kept."""
+        self.stand.current(0.0, i_q)
+        with self.stand.stretch("up") as taken:
+            seen, reached = self.watch(LONGEST)
+            self.stand.current(0.0, 0.0)
+            self.slope = abs(speed(seen[-1]) - speed(seen[0])) / (max(len(seen) - 1, 1) * LOOK)
+        self.windows.append(replace(taken.window, i_ref=complex(0.0, i_q)).until(seen[-1]))
         return reached
+
+    def hold(self, i_d: float, i_q: float, seconds: float, kind: str) -> None:
+        """A current for so long. The window is kept."""
+        self.stand.current(i_d, i_q)
+        with self.stand.stretch(kind) as taken:
+            self.stand.wait(seconds)
+        self.windows.append(taken.window)
 
     def first_torque(self) -> float:
         """A of q current that takes it to the top in SECONDS: by a small one that grows until the shaft turns."""
         i_q = FIRST * self.most
         for _ in range(TRIES):
             self.stand.current(0.0, i_q)
-            before = self.look(2 * LOOK)
-            self.stand.wait(LOOK)
-            after = self.look(2 * LOOK)
-            w0, w1 = speed(before), speed(after)
-            if (w1 > TURNS and w1 - w0 > GROWS * w1) or self.at_the_top(after):
+            seen, top = self.watch(FIRST_LOOKS * LOOK)
+            w0, w1 = speed(seen[0]), speed(seen[-1])
+            if (w1 > TURNS and w1 - w0 > GROWS * w1) or top:
                 break
             i_q = min(i_q * (MORE if w1 < TURNS else SLIGHTLY_MORE), self.most)
         else:
             raise Refused(STEP, "the shaft does not turn on the encoder: a load is attached, or it binds")
-        slope = max((w1 - w0) / (3 * LOOK), 1.0)
-        back_emf = max(_voltage(after).imag - self.stand.R * i_q, 0.3 * abs(_voltage(after)), 1e-6)
+        voltage = _voltage(seen[-1])
+        slope = max((w1 - w0) / (max(len(seen) - 1, 1) * LOOK), 1.0)
+        back_emf = max(voltage.imag - self.stand.R * i_q, 0.3 * abs(voltage), 1e-6)
         goal = min(TOP * self.stand.u_linear * w1 / back_emf, self.limit)
         accelerating = max(i_q - self.friction, 0.2 * i_q)
         wanted = accelerating * goal / SECONDS / slope + self.friction
@@ -129,7 +155,7 @@ class Spin:
     def lap(self, way: float, i_q: float, first: bool) -> tuple[float, float]:
         """To the top and down again; the q current that it took, A, and s of the coast."""
         with self.stand.running(STEP, None):
-            while not self.drive(0.0, way * i_q, LONGEST, "up", self.at_the_top):
+            while not self.accelerate(way * i_q):
                 if i_q >= self.most:
                     raise Refused(
                         STEP, f"the shaft does not reach the speed with {self.most:.3g} A within {LONGEST:g} s: a load "
@@ -143,18 +169,18 @@ class Spin:
 
     def top(self, way: float, i_q: float) -> None:
         """A d current of both signs, and a torque for a moment where the rotor is heavy."""
-        never = lambda seen: False  # noqa: E731
         for _ in range(PAIRS):
             for sign, kind in ((1.0, "d+"), (-1.0, "d-")):
-                self.drive(sign * self.most, 0.0, ALONG, kind, never)
-        if i_q > HEAVY * self.most:
-            self.drive(0.0, way * self.most, TORQUE, "q", never)
+                self.hold(sign * self.most, 0.0, ALONG, kind)
+        gains = self.slope * self.most / i_q * (TORQUE + AHEAD * LOOK)
+        if i_q > HEAVY * self.most and abs(speed(self.windows[-1].last(LOOK))) + gains < self.limit:
+            self.hold(0.0, way * self.most, TORQUE, "q")
 
     def coast(self, top: float) -> float:
         """Outputs off until it is slow; s that it took."""
         with self.stand.stretch("off") as taken:
             seconds = 0.0
-            while seconds < LONGEST:
+            while seconds < LONGEST_COAST:
                 seen = self.look()
                 seconds += max(seen.seconds, 1e-9)
                 if abs(speed(seen)) < ENDS * top:

@@ -28,7 +28,7 @@ from bench.signal.units import RPM
 STEP = "turn"
 SHARE = 0.5
 """Of the agreed current, that drags the rotor."""
-SPEED = 2.5 * math.tau
+SPEED = 3.0 * math.tau
 """rad/s, electrical, of the angle that drags it; with one pole pair the shaft is as fast."""
 MARGIN = 0.95
 """Of the agreed speed, that a shaft with one pole pair may have."""
