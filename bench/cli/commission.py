@@ -144,18 +144,28 @@ def _print(done: Commissioned) -> None:
 def _row(quantity: Quantity, done: Commissioned) -> list[str]:
     absolute = quantity.absolute_half_width(done.converters)
     return [
-        _TITLES[quantity.name], _engineering(quantity.value, quantity.unit), _width(quantity, quantity.half_width),
+        _TITLES[quantity.name], _told(quantity.value, quantity.unit), _width(quantity, quantity.half_width),
         quantity.dominated_by, _width(quantity, absolute), quantity.absolutely_dominated_by(done.converters),
     ]  # fmt: skip
 
 
 def _width(quantity: Quantity, half_width: float) -> str:
     share = 100.0 * half_width / abs(quantity.value) if quantity.value else math.inf
-    return f"+- {share:.2g} %" if share < 100.0 else f"+- {_engineering(half_width, quantity.unit)}"
+    if quantity.unit == "rad" or quantity.name == "step_misfit" or share >= 100.0:
+        return f"+- {_told(half_width, quantity.unit, 2)}"
+    return f"+- {share:.2g} %"
 
 
-def _engineering(value: float, unit: str) -> str:
-    """Four digits, with the prefix of the unit that leaves one to three before the point."""
+def _told(value: float, unit: str, digits: int = 4) -> str:
+    """As a person reads it: angles in degrees, shares in percent, others with the prefix of the unit that fits."""
+    if unit == "rad":
+        return f"{_rounded(math.degrees(value), digits)} deg"
+    if unit == "1":
+        return f"{_rounded(100.0 * value, digits)} %"
     exponent = 3 * math.floor(math.log10(abs(value)) / 3.0) if value else 0
     exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
-    return f"{value / 10.0**exponent:.4g} {_PREFIXES[exponent]}{unit}"
+    return f"{_rounded(value / 10.0**exponent, digits)} {_PREFIXES[exponent]}{unit}".rstrip()
+
+
+def _rounded(value: float, digits: int) -> str:
+    return f"{float(f'{value:.{digits}g}'):g}"

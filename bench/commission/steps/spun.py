@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,8 +34,8 @@ SLIPPED = math.radians(5.0)
 """rad, electrical, by which the zero at speed may differ from that of the dragged turn, at least,"""
 SURE = 3.0
 """and times what the rough one is known to."""
-SHOWN = 1500
-"""Points of a curve."""
+SHOWN, POINTS = 1500, 150
+"""Points of a curve, and of residuals."""
 
 
 @dataclass
@@ -132,9 +133,11 @@ def _panels(windows: Sequence[Window], found: Spun, n_p: int) -> tuple[Panel, ..
     panels = [Panel("time", "s", "speed of the shaft", "rad/s", _speeds(windows, n_p))]
     residuals = found.flux.fitted.residuals
     of_flux = {"voltage across, parts with a d current": (np.arange(len(residuals), dtype=float), 1e3 * residuals)}
-    panels.append(Panel("part", "1", "residuals", "mV", of_flux))
+    panels.append(Panel("part", "", "residuals", "mV", of_flux))
     if found.motion is not None:
-        of_motion = {"momentum": (found.motion.moments.omega, 1e6 * found.motion.fitted.residuals)}
+        told = found.motion.moments.omega
+        some = slice(None, None, 1 + len(told) // POINTS)
+        of_motion = {"momentum": (told[some], 1e6 * found.motion.fitted.residuals[some])}
         panels.append(Panel("speed of the shaft", "rad/s", "residuals", "uN m s", of_motion))
     if found.edges is not None:
         six = np.arange(1.0, 7.0)
@@ -142,18 +145,19 @@ def _panels(windows: Sequence[Window], found: Spun, n_p: int) -> tuple[Panel, ..
             name: (six, np.degrees([each.value for each in edges]))
             for name, edges in (("forward", found.edges.up), ("in reverse", found.edges.down))
         }
-        panels.append(Panel("sector", "1", "Hall edge, ideal less actual", "deg", by_way))
+        panels.append(Panel("sector", "", "Hall edge, ideal less actual", "deg", by_way))
     return tuple(panels)
 
 
 def _speeds(windows: Sequence[Window], n_p: int) -> dict[str, tuple[Floats, Floats]]:
     """By command, over the time since the first window."""
-    start, series = int(windows[0].index[0]), {"driven": ([], []), "coasting": ([], [])}  # type: ignore[var-annotated]
+    start = int(windows[0].index[0])
+    series: dict[str, tuple[list[Any], list[Any]]] = {"driven": ([], []), "coasting": ([], [])}
     total = sum(len(window) for window in windows)
     for window in windows:
         step = max(8, total // SHOWN)
         theta = unwrapped(np.asarray(window.theta))[::step]
         t, w = series["coasting" if window.kind == "off" else "driven"]
-        t.append((window.index[::step][1:] - start) * window.T)
-        w.append(np.diff(theta) / (step * window.T) / n_p)
+        t += [(window.index[::step][1:] - start) * window.T, [math.nan]]
+        w += [np.diff(theta) / (step * window.T) / n_p, [math.nan]]
     return {name: (np.concatenate(t), np.concatenate(w)) for name, (t, w) in series.items() if t}

@@ -44,6 +44,8 @@ BLIND = 4.0 * math.tau
 """rad, electrical, each way without an encoder; and with one, after which a shaft that stands still is let go."""
 STILL = 0.05
 """rad of the shaft, below which it stands still."""
+ELSEWHERE = math.radians(15.0)
+"""rad by which the Hall ring sits elsewhere than expected, from which it is told."""
 FIRST = ("motor_phases", "heavy")
 """Findings that have to be put right before the shaft may be spun."""
 SHOWN = 1500
@@ -134,7 +136,8 @@ def analyse(up: Window, down: Window, lines: int, current: float, i_max: float) 
     if order is not None and not wrong:
         if order.edges is not None:
             quantities += [order.edges.ring, *order.edges.up, *order.edges.down]
-        if ring := hall_order.orientation(order):
+        ring = hall_order.orientation(order)
+        if ring is not None and order.wired is not None and abs(order.wired.ring) > ELSEWHERE:
             remarks.append(ring.cause)
     first = next((each.cause for each in told if each.code in FIRST), "")
     figures = {"in_order": math.nan if order is None else order.in_order, "current": current}
@@ -150,10 +153,10 @@ def _sentence(finding: Finding) -> str:
 def _panels(up: Window, down: Window, found: Dragged | None) -> tuple[Panel, ...]:
     ways = {"forward": up, "in reverse": down}
     codes = {name: _codes(window) for name, window in ways.items()}
-    panels = [Panel("angle that is made", "electrical turns", "Hall code", "1", codes)]
+    panels = [Panel("angle that is made", "electrical turns", "Hall code", "", codes)]
     if found is not None:
         behind = {name: _behind(window, found) for name, window in ways.items()}
-        panels.insert(0, Panel("shaft", "turns", "encoder ahead of the angle that is made", "deg", behind))
+        panels.insert(0, Panel("shaft", "turns", "encoder ahead", "deg", behind))
     return tuple(panels)
 
 
