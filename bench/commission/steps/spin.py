@@ -40,8 +40,10 @@ SECONDS = 0.4
 they count for less."""
 OVER_FRICTION = 2.5
 """Times the current that friction takes, at least."""
-LONGEST, LONGEST_COAST = 6.0, 4.0
-"""s to the top, and of a coast, at most."""
+LONGEST, PATIENCE, LONGEST_COAST = 6.0, 2.5, 4.0
+"""s to the top, and with less than all of the current, and of a coast, at most."""
+SLOW = 2.0
+"""Times SECONDS, after which the next acceleration has more current: what friction takes at speed nobody knew."""
 LOOK = 0.02
 """s from look to look."""
 AHEAD = 2.0
@@ -72,7 +74,9 @@ class Spin:
     fastest: float = 0.0
     """rad/s, electrical, that was seen."""
     slope: float = 0.0
-    """rad/s2, electrical, of the last acceleration."""
+    """rad/s2, electrical, of the last acceleration,"""
+    took: float = 0.0
+    """and s that it took."""
 
     @property
     def most(self) -> float:
@@ -98,10 +102,8 @@ class Spin:
         The looks, and whether that was the end. Refused for a shaft that turns against its torque.
         """
         seen = [self.look()]
-        passed = seen[0].seconds
-        while not (top := self.at_the_top(seen)) and passed < seconds:
+        while not (top := self.at_the_top(seen)) and _apart(seen) + LOOK < seconds:
             seen.append(self.look())
-            passed += max(seen[-1].seconds, 1e-9)
             i_q = seen[-1].i_ref.imag
             if i_q and speed(seen[-1]) * math.copysign(1.0, i_q) < -0.1 * self.limit:
                 raise Refused(STEP, "the shaft turns against its torque: the encoder has slipped, or is wrong")
@@ -119,9 +121,9 @@ class Spin:
         """A q current until it is at the top; whether it got there. The window is kept."""
         self.stand.current(0.0, i_q)
         with self.stand.stretch("up") as taken:
-            seen, reached = self.watch(LONGEST)
+            seen, reached = self.watch(LONGEST if abs(i_q) >= self.most else PATIENCE)
             self.stand.current(0.0, 0.0)
-            self.slope = abs(speed(seen[-1]) - speed(seen[0])) / (max(len(seen) - 1, 1) * LOOK)
+        self.slope, self.took = abs(_slope(seen)), _apart(seen)
         self.windows.append(replace(taken.window, i_ref=complex(0.0, i_q)).until(seen[-1]))
         return reached
 
@@ -145,7 +147,7 @@ class Spin:
         else:
             raise Refused(STEP, "the shaft does not turn on the encoder: a load is attached, or it binds")
         voltage = _voltage(seen[-1])
-        slope = max((w1 - w0) / (max(len(seen) - 1, 1) * LOOK), 1.0)
+        slope = max(_slope(seen), 1.0)
         back_emf = max(voltage.imag - self.stand.R * i_q, 0.3 * abs(voltage), 1e-6)
         goal = min(TOP * self.stand.u_linear * w1 / back_emf, self.limit)
         accelerating = max(i_q - self.friction, 0.2 * i_q)
@@ -162,6 +164,8 @@ class Spin:
                         "is attached, friction is high, or the encoder has slipped"
                     )  # fmt: skip
                 i_q = min(2.0 * i_q, self.most)
+            if self.took > SLOW * SECONDS:
+                i_q = min(2.0 * i_q, self.most)  # from the next one on
             top = abs(speed(self.windows[-1].last(LOOK)))
             if first:
                 self.top(way, i_q)
@@ -179,20 +183,27 @@ class Spin:
     def coast(self, top: float) -> float:
         """Outputs off until it is slow; s that it took."""
         with self.stand.stretch("off") as taken:
-            seconds = 0.0
-            while seconds < LONGEST_COAST:
-                seen = self.look()
-                seconds += max(seen.seconds, 1e-9)
-                if abs(speed(seen)) < ENDS * top:
-                    break
+            seen = [self.look()]
+            while _apart(seen) < LONGEST_COAST and abs(speed(seen[-1])) > ENDS * top:
+                seen = [seen[0], self.look()]
         self.windows.append(taken.window)
-        return seconds
+        return taken.window.seconds
 
 
 def speed(window: Window) -> float:
     """rad/s, electrical, in the mean."""
     theta = unwrapped(np.asarray(window.theta))
     return float(theta[-1] - theta[0]) / (window.T * max(len(theta) - 1, 1))
+
+
+def _apart(seen: list[Window]) -> float:
+    """s from the first look to the last."""
+    return float(seen[-1].index[-1] - seen[0].index[-1]) * seen[0].T
+
+
+def _slope(seen: list[Window]) -> float:
+    """rad/s2, electrical, between them."""
+    return (speed(seen[-1]) - speed(seen[0])) / max(_apart(seen), seen[0].seconds)
 
 
 def _voltage(window: Window) -> complex:
