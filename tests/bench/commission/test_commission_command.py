@@ -242,6 +242,17 @@ def test_a_bus_that_is_too_slow_is_helped_by_the_drives_memory(network: str) -> 
     assert left_alone(link.device, before)
 
 
+@pytest.mark.campaign("commission")
+@pytest.mark.long("captures over a slow bus")
+def test_a_bus_that_is_too_slow_turns_nothing() -> None:
+    link = WatchedLink(simulated(network="CAN FD"))
+    before = dict(link.device.bench.parameters)
+    done = run_on(link)
+    assert "the link does not carry every PWM period" in done.refused["turn"]
+    assert set(done.outcomes) == {"offsets", "first-current", "resistance", "inductance", "check"}
+    assert left_alone(link.device, before)
+
+
 def calls_of_a_run() -> int:
     link = WatchedLink(simulated())
     run_on(link)
