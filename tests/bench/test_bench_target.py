@@ -23,6 +23,7 @@ WITHOUT = {
     "protocol dbc": "", "accept": "-k test_stop --yes", "capture": "--trigger now -o a.run", "param list": "",
     "param save": "", "param dump": "", "param watch": "--duration 1", "param get": "k_p_vt n_p",
     "param set": "k_p_vt=900.5 k_i_vt=-2e-3", "param load": "a.toml", "param diff": "a.toml", "response": "current",
+    "commission": "--yes",
 }  # fmt: skip
 """Each command that may be given no target, and what it is given besides."""
 AFTER = {"param get", "param set", "response"}

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from benches import NAMES, PAPER, MadeBench, drawn, made
+from drawn_benches import NAMES, PAPER, MadeBench, drawn, made
 
 import bench
 from bench.commission.outcome import Outcome

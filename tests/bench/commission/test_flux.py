@@ -13,7 +13,7 @@ from bench.commission.analysis.flux import compensated, flux
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.window import Window
-from tests.bench.commission.coverage import inside, relative_errors, scores
+from tests.bench.commission.stated_intervals import inside, relative_errors, scores
 from tests.bench.commission.turning_motor import Bench, Drive, Motor, along_d, drawn, noisy
 from tests.choice import commit
 

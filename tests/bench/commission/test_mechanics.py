@@ -13,7 +13,7 @@ from bench.commission.analysis.mechanics import Mechanics, mechanics
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.window import Window
-from tests.bench.commission.coverage import inside, relative_errors, scores
+from tests.bench.commission.stated_intervals import inside, relative_errors, scores
 from tests.bench.commission.turning_motor import Bench, Drive, Motor, drawn, known_flux
 from tests.choice import commit
 

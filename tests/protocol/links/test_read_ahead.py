@@ -90,7 +90,7 @@ def test_all_comes_in_order_from_before_it_is_read_ahead_on(port: PtyPort, link:
 def test_a_port_of_which_little_is_expected_is_not_read_ahead(port: PtyPort, link: SerialLink) -> None:
     link.expect(11_520)
     port.write(bytes(500))
-    assert link.read(TURN, TURN)
+    assert link.read(LIMIT, TURN)
     assert link._ahead is None
 
 

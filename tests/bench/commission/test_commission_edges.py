@@ -13,7 +13,7 @@ from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.window import Window
 from bench.signal.position import wrapped
-from tests.bench.commission.coverage import inside
+from tests.bench.commission.stated_intervals import inside
 from tests.bench.commission.turning_motor import Bench, Drive, along_d, drawn, known_flux
 from tests.choice import commit
 
