@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benches import PAPER, MadeBench, made
+from drawn_benches import PAPER, MadeBench, made
 from test_commission_drive import standing
 
 from bench.commission.refusal import Refused

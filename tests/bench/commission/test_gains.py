@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from benches import NAMES
+from drawn_benches import NAMES
 from scipy.integrate import solve_ivp
 
 from bench.commission import gains
