@@ -30,7 +30,11 @@ _TITLES = {
     "u_dc": "DC link voltage", "noise": "noise of a current sensor", "R_s": "resistance of a phase",
     "U_dead": "dead time's volts", "t_dead": "dead time, effective", "L_d": "L_d without current",
     "L_q": "L_q without current", "L_d_half": "L_d at half the current", "L_q_half": "L_q at half the current",
-    "R_rough": "resistance, rough", "L_rough": "inductance, rough",
+    "n_p": "electrical turns in one of the shaft", "encoder_zero": "encoder's zero", "psi_f": "flux linkage",
+    "psi_f_blind": "flux linkage, without the encoder", "L_d_run": "L_d at speed", "L_q_run": "L_q under torque",
+    "encoder_delay": "delay of the encoder", "current_delay": "delay of the currents", "J": "inertia of the shaft",
+    "b": "viscous friction", "tau_c": "dry friction", "hall_offset": "Hall ring", "hall_delay": "delay of Hall edges",
+    "step_misfit": "a step of i_d against the model", "R_rough": "resistance, rough", "L_rough": "inductance, rough",
 }  # fmt: skip
 
 
@@ -38,9 +42,12 @@ _TITLES = {
 @target_argument()
 @click.option("--step", "steps", metavar="NAMES", type=Names(),
               help="Steps, with commas between them, and those that they need: offsets, first-current, resistance (r), "
-              "inductance (l) [default: all].")  # fmt: skip
+              "inductance (l), turn, spin, check [default: all].")  # fmt: skip
 @click.option("--current", "current_a", metavar="A", type=Number(above=0),
               help="Largest current of the motor, A peak, by its plate [default: of a simulated drive its i_max]."
+              )  # fmt: skip
+@click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0),
+              help="Largest speed that the shaft may turn at, r/min [default: of a simulated drive its limit]."
               )  # fmt: skip
 @click.option("-o", "--out", metavar="TOML", type=FILE,
               help="Write the parameters that were found, for bench param load.")  # fmt: skip
@@ -54,11 +61,13 @@ _TITLES = {
 def command(
     target: str, out: Path | None, report: Path | None, json_file: Path | None, overwrite: bool, **given: Any
 ) -> None:
-    """Find out what an unknown motor is, step by step, with the shaft at rest: resistance, dead time, inductances.
+    """Find out what an unknown motor is, step by step: windings, wires, sensors, shaft.
 
     Each step says before it begins what it will do, and asks. Offsets and noise of the current sensors come first, then
     the smallest current that shows whether all phases are there and in order, then resistance and dead time, told
-    apart, then L_d and L_q over the current. What a step cannot claim it refuses by name.
+    apart, then L_d and L_q over the current. Then the shaft is turned slowly, which tells pole pairs, encoder and Hall
+    wires, and spun and left to coast, which tells flux, inertia, friction and Hall edges. Gains follow, and a step of
+    the current against the model. What a step cannot claim it refuses by name.
 
     Every value has two 95 % intervals: in the drive's own volts and amperes, which its loops and observers compute in,
     and absolute, with the gains of its sensors. Nothing is stored in the drive: all parameters are put back. Needs a
@@ -71,6 +80,7 @@ def command(
       bench commission sim
       bench commission sim --config gimbal-4310 -o found.toml --report found
       bench commission serial:/dev/ttyACM0 --current 6 --step r -o found.toml
+      bench commission serial:/dev/ttyACM0 --current 6 --speed 3000 -o found.toml
     """
     files = {"--json": json_file, "--out": out}
     given["config"] = simulated_figures(target, given["config"])
@@ -134,18 +144,28 @@ def _print(done: Commissioned) -> None:
 def _row(quantity: Quantity, done: Commissioned) -> list[str]:
     absolute = quantity.absolute_half_width(done.converters)
     return [
-        _TITLES[quantity.name], _engineering(quantity.value, quantity.unit), _width(quantity, quantity.half_width),
+        _TITLES[quantity.name], _told(quantity.value, quantity.unit), _width(quantity, quantity.half_width),
         quantity.dominated_by, _width(quantity, absolute), quantity.absolutely_dominated_by(done.converters),
     ]  # fmt: skip
 
 
 def _width(quantity: Quantity, half_width: float) -> str:
     share = 100.0 * half_width / abs(quantity.value) if quantity.value else math.inf
-    return f"+- {share:.2g} %" if share < 100.0 else f"+- {_engineering(half_width, quantity.unit)}"
+    if quantity.unit == "rad" or quantity.name == "step_misfit" or share >= 100.0:
+        return f"+- {_told(half_width, quantity.unit, 2)}"
+    return f"+- {share:.2g} %"
 
 
-def _engineering(value: float, unit: str) -> str:
-    """Four digits, with the prefix of the unit that leaves one to three before the point."""
+def _told(value: float, unit: str, digits: int = 4) -> str:
+    """As a person reads it: angles in degrees, shares in percent, others with the prefix of the unit that fits."""
+    if unit == "rad":
+        return f"{_rounded(math.degrees(value), digits)} deg"
+    if unit == "1":
+        return f"{_rounded(100.0 * value, digits)} %"
     exponent = 3 * math.floor(math.log10(abs(value)) / 3.0) if value else 0
     exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
-    return f"{value / 10.0**exponent:.4g} {_PREFIXES[exponent]}{unit}"
+    return f"{_rounded(value / 10.0**exponent, digits)} {_PREFIXES[exponent]}{unit}".rstrip()
+
+
+def _rounded(value: float, digits: int) -> str:
+    return f"{float(f'{value:.{digits}g}'):g}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from bench.commission.quantity import Converters, Quantity
 from bench.commission.refusal import Refused
 from bench.commission.sequence import Step, chosen
 from bench.commission.stand import NEED, Stand, channels
+from bench.commission.steps import turn
 from bench.errors import BenchError
 from bench.files import RUN, check_directory, finite, write
 from bench.param.sources import of_node
@@ -30,6 +31,7 @@ from bench.rig.person import Ask
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.settings import read_settings
+from bench.signal.units import RPM
 from bench.signal.verdict import Verdict
 from protocol.messages import Feature
 
@@ -39,11 +41,12 @@ FOUND = "found.json"
 
 @dataclass(frozen=True)
 class Options:
-    """What was asked for; A as on the command line, None for the default. `steps`: None for all that there are."""
+    """What was asked for; A and r/min as on the command line, None for the default. `steps`: None for all."""
 
     target: str
     steps: tuple[str, ...] | None = None
     current_a: float | None = None
+    speed_rpm: float | None = None
     report: Path | None = None
     overwrite: bool = False
     yes: bool = False
@@ -72,13 +75,23 @@ class Commissioned:
         return {quantity.name: quantity for outcome in self.outcomes.values() for quantity in outcome.quantities}
 
     @property
+    def settings(self) -> dict[str, float]:
+        """Parameters that follow from what was found, beside those that are quantities."""
+        return {name: value for outcome in self.outcomes.values() for name, value in outcome.settings.items()}
+
+    @property
     def remarks(self) -> list[str]:
         """What is to be known beside."""
         return [words for outcome in self.outcomes.values() for words in outcome.remarks]
 
+    def refuse(self, refused: Refused) -> None:
+        """That is not claimed; a step may have several reasons."""
+        before = self.refused.get(refused.step)
+        self.refused[refused.step] = refused.reason if before is None else f"{before}; {refused.reason}"
+
     def as_toml(self) -> tuple[str, list[str]]:
         """See `bench.commission.parameters.toml`."""
-        return toml(self.found, self.drive, self.converters)
+        return toml(self.found, self.settings, self.drive, self.converters)
 
     def as_json(self) -> dict[str, Any]:
         """Plain data, SI units."""
@@ -96,6 +109,7 @@ class Commissioned:
                 }
                 for name, q in self.found.items()
             },
+            "settings": self.settings,
             "refused": dict(self.refused),
             "remarks": self.remarks,
         })  # fmt: skip
@@ -108,13 +122,14 @@ def commission(
     """Take the steps. Raises BenchError and HbpError; the drive is off again, and as it was.
 
     `confirm` asks a person before anything is energised, `ask` before each further step; None where there is nobody.
-    A step that can claim nothing ends it: what was found before stands, and `refused` says why.
+    After a step that can claim nothing, those that need it are not taken, and after a trip none: what was found stands,
+    and `refused` says why.
     """
     steps = chosen(options.steps)
     if options.report is not None:
         check_directory(options.report, f"--report {options.report}", make=True)
         options.report.mkdir(parents=True, exist_ok=True)
-    envelope = Envelope(0.0, math.inf if options.current_a is None else options.current_a)
+    envelope = Envelope(_announced_rpm(steps, options), math.inf if options.current_a is None else options.current_a)
     station = read_settings(None)
     settings = replace(station, operator=options.operator or station.operator, config=options.config, load="none")
     plan = Plan(
@@ -127,9 +142,11 @@ def commission(
         check_limits(node, envelope)
         rig.require_rest()
         i_max = _agreed_current(rig, options)
-        rig.drive.envelope = replace(envelope, current=i_max)
+        rig.drive.envelope = agreed_to = replace(
+            envelope, current=i_max, rpm=_agreed_rpm(rig, steps, envelope, options)
+        )
         agreed = options.yes or bool(node.identity.features & Feature.SIMULATED)
-        said = {step: f"{step.name}: {step.announcement(i_max)}" for step in steps}
+        said = {step: f"{step.name}: {step.announcement(agreed_to)}" for step in steps}
         if energising := [step for step in steps if step.energises]:
             for step in () if agreed else energising:
                 screen.note(f"will do {said[step]}")
@@ -139,13 +156,18 @@ def commission(
         rig.prepare([channels(rig)], recording, held=True, full=True)
         began = rig.tick()
         stand = Stand(rig, i_max)
+        missing: set[str] = set()
         for step in steps:
+            if missing & set(step.needs) or rig.drive.faults:
+                missing.add(step.name)
+                continue
             screen.note(said[step])
             if step in energising[1:] and ask is not None and not agreed:
-                rig.ask(f"see that the shaft is free for {step.name}, with up to {i_max:g} A")
+                speed = f", and up to {agreed_to.rpm:.0f} r/min" if step.spins else ", and turns" if step.turns else ""
+                rig.ask(f"see that the shaft is free for {step.name}, with up to {i_max:g} A{speed}")
             screen.progress(step.name)
             if not _take(rig, stand, step, done, partial(_write, options.report)):
-                break
+                missing.add(step.name)
         done.seconds = (rig.tick() - began) / rig.recorder.tick_hz
     if options.report is not None:
         _dump(options.report / FOUND, done.as_json())
@@ -162,14 +184,38 @@ def _agreed_current(rig: Rig, options: Options) -> float:
     raise BenchError("no measurement gives the largest current that the motor bears: name it with --current A")
 
 
+def _announced_rpm(steps: Sequence[Step], options: Options) -> float:
+    """r/min, that may be asked for before the drive is known; inf for its own limit."""
+    if not any(step.turns for step in steps):
+        return 0.0
+    slow = turn.SPEED / RPM / turn.MARGIN
+    if options.speed_rpm is not None:
+        return options.speed_rpm if any(step.spins for step in steps) else min(slow, options.speed_rpm)
+    return math.inf if any(step.spins for step in steps) else slow
+
+
+def _agreed_rpm(rig: Rig, steps: Sequence[Step], envelope: Envelope, options: Options) -> float:
+    """r/min: what was asked for, or of a simulated drive its limit. BenchError where nobody has named it."""
+    node = rig.drive.node
+    own = node.parameter("omega_m_max").value / RPM if node.has_parameter("omega_m_max") else math.inf
+    if math.isinf(envelope.rpm) and not node.identity.features & Feature.SIMULATED:
+        raise BenchError(
+            "no measurement gives the largest speed that the shaft bears: name it with --speed R/MIN, or take steps "
+            f"that do not spin it (--step {','.join(step.name for step in steps if not step.turns)})"
+        )
+    return min(envelope.rpm, own)
+
+
 def _take(rig: Rig, stand: Stand, step: Step, done: Commissioned, written: Callable[[Step, Outcome], None]) -> bool:
     """Take one step, and whether it has found what it is for."""
     first = rig.tick() / rig.recorder.tick_hz
     try:
         done.outcomes[step.name] = outcome = step.perform(stand)
+        for refused in outcome.refused:
+            done.refuse(refused)
         verdict = Verdict.PASS
     except Refused as refused:
-        done.refused[refused.step] = refused.reason
+        done.refuse(refused)
         verdict = Verdict.FAIL
     rig.mark(step.name, (first, rig.recorder.newest / rig.recorder.tick_hz), verdict)
     if verdict is Verdict.PASS:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.commission.quantity import Quantity
+from bench.commission.refusal import Refused
 from bench.commission.window import Floats
 from bench.files import finite
 
@@ -57,6 +58,10 @@ class Outcome:
     quantities: tuple[Quantity, ...]
     evidence: Evidence
     remarks: tuple[str, ...] = ()
+    refused: tuple[Refused, ...] = ()
+    """What it does not claim beside what it has found."""
+    settings: Mapping[str, float] = field(default_factory=dict)
+    """Parameters of the drive that follow from what was found, in their units, beside those that are quantities."""
 
     def __getitem__(self, name: str) -> Quantity:
         """The quantity of this name; KeyError where the step has not found it."""

@@ -12,39 +12,47 @@ from bench.param.table import Parameters
 REASON = "found by bench commission"
 
 
+SAME = {"R_s": "R_s_hat", "t_dead": "dead_time_hat", "psi_f": "psi_f_hat", "J": "J_hat"}
+"""Parameters that are a quantity as it was found, by its name."""
+NAMED_ALIKE = (
+    "encoder_zero", "hall_offset", *(f"edge_{way}_{sector}" for way in ("up", "down") for sector in range(1, 7)),
+)  # fmt: skip
+
+
 def parameters_of(found: Mapping[str, Quantity]) -> dict[str, Quantity]:
     """By the drive's parameter what it should be, of what was found."""
-    told: dict[str, Quantity] = {}
-    if "R_s" in found:
-        told["R_s_hat"] = found["R_s"]
+    told = {parameter: found[name] for name, parameter in SAME.items() if name in found}
+    told |= {name: found[name] for name in NAMED_ALIKE if name in found}
     if {"L_d_half", "L_q_half"} <= found.keys():
         d, q = found["L_d_half"], found["L_q_half"]
         parts = {name: max(d.parts.get(name, 0.0), q.parts.get(name, 0.0)) for name in {**d.parts, **q.parts}}
         parts["saliency"] = 0.5 * abs(d.value - q.value)
         told["L_s_hat"] = Quantity("L_s", "H", 0.5 * (d.value + q.value), parts, volts=1.0, amperes=-1.0)
-    if "t_dead" in found:
-        told["dead_time_hat"] = found["t_dead"]
     return told
 
 
-def toml(found: Mapping[str, Quantity], of: Parameters, converters: Converters) -> tuple[str, list[str]]:
-    """A dump of what was found, and what the drive does not take of it, in words.
+def toml(
+    found: Mapping[str, Quantity], settings: Mapping[str, float], of: Parameters, converters: Converters
+) -> tuple[str, list[str]]:
+    """A dump of what was found and of `settings`, which follow from it, and what the drive does not take, in words.
 
     `of`: the drive's parameters, which tell names, ranges and meanings.
     """
     entries, left = {}, []
-    for name, quantity in parameters_of(found).items():
+    measured = parameters_of(found)
+    values = {name: quantity.value for name, quantity in measured.items()}
+    for name, value in {**settings, **values}.items():
         if name not in of.entries:
             left.append(f"the drive has no parameter {name}")
             continue
         entry = of.entries[name]
-        lo = quantity.value if entry.lo is None else entry.lo
-        hi = quantity.value if entry.hi is None else entry.hi
-        if not lo <= quantity.value <= hi:
-            left.append(f"{name} = {quantity.value:.4g} {entry.unit} is beyond the drive's range, {lo:g} to {hi:g}")
+        lo = value if entry.lo is None else entry.lo
+        hi = value if entry.hi is None else entry.hi
+        if not lo <= value <= hi:
+            left.append(f"{name} = {value:.4g} {entry.unit} is beyond the drive's range, {lo:g} to {hi:g}")
             continue
-        meaning = f"95 %: {interval(quantity, converters)}"
-        entries[name] = replace(entry, value=quantity.value, meaning=meaning)
+        known = f"95 %: {interval(measured[name], converters)}" if name in measured else "by what was found"
+        entries[name] = replace(entry, value=value, meaning=known)
     told = Parameters(of.title, entries, of.identity)
     return dump.text(told, history.now(), history.who(), REASON), left
 

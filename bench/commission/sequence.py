@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from bench.commission.outcome import Outcome
 from bench.commission.stand import Stand
-from bench.commission.steps import first_current, inductance, offsets, resistance
+from bench.commission.steps import check, first_current, inductance, offsets, resistance, spun, turn
 from bench.errors import BenchError
+from bench.rig.envelope import Envelope
 from protocol.text import did_you_mean
 
 
@@ -21,9 +22,13 @@ class Step:
     needs: tuple[str, ...]
     """Steps whose findings it goes by."""
     energises: bool
-    announcement: Callable[[float], str]
-    """Of the agreed current, A."""
+    announcement: Callable[[Envelope], str]
+    """Of what was agreed to."""
     perform: Callable[[Stand], Outcome]
+    turns: bool = False
+    """Whether it turns the shaft."""
+    spins: bool = False
+    """Whether it does so as fast as was agreed to."""
 
 
 STEPS = (
@@ -31,6 +36,9 @@ STEPS = (
     Step(first_current.STEP, ("first",), (offsets.STEP,), True, first_current.announcement, first_current.perform),
     Step(resistance.STEP, ("r", "dead-time"), (first_current.STEP,), True, resistance.announcement, resistance.perform),
     Step(inductance.STEP, ("l",), (resistance.STEP,), True, inductance.announcement, inductance.perform),
+    Step(turn.STEP, ("dragged-turn",), (inductance.STEP,), True, turn.announcement, turn.perform, turns=True),
+    Step(spun.STEP, ("coast",), (turn.STEP,), True, spun.announcement, spun.perform, turns=True, spins=True),
+    Step(check.STEP, ("gains",), (inductance.STEP,), True, check.announcement, check.perform),
 )
 """In their order."""
 

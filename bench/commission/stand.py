@@ -9,18 +9,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench.commission.analysis.dragged import Dragged
+from bench.commission.analysis.hall_order import HallOrder
+from bench.commission.outcome import Outcome
+from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
-from bench.commission.window import Edges, Floats, Window
+from bench.commission.window import Edges, Floats, Wave, Window
 from bench.errors import BenchError
 from bench.rig.drive import DriveTripped
 from bench.rig.needs import offers
 from bench.rig.rig import Rig
 from bench.signal.capture import Capture
+from bench.signal.units import RPM
 from protocol.descriptor import Channel
 from protocol.signals import Status
 
@@ -33,6 +38,8 @@ BEYOND = 1.15
 """Times the agreed current above which a window ends the step."""
 FASTEST_TURN = math.tau
 """rad/s with which the made angle moves at rest."""
+FASTEST_LOOP = 800.0
+"""Hz of the current loop while the shaft turns, at most."""
 COOLING = np.array([math.inf, 60.0, 30.0, 15.0, 8.0, 4.0])
 """s: times with which a winding may cool; which it is, the measurement of R tells."""
 GENTLE = {"bw_current": 0.0, "R_s_hat": 0.0, "L_s_hat": 0.0, "psi_f_hat": 0.0, "dead_time_comp": 0.0}
@@ -45,6 +52,24 @@ def channels(rig: Rig) -> tuple[Channel, ...]:
     there = {channel.name for channel in node.descriptor.channels}
     encoder = (WITH_ENCODER,) if WITH_ENCODER in there and node.encoder else ()
     return node.channels([*CHANNELS, *encoder])
+
+
+class Stretch:
+    """What `Stand.stretch` has taken; `window` once it has ended."""
+
+    window: Window
+
+
+@dataclass(frozen=True)
+class Turned:
+    """What the dragged turn has shown, for the steps that follow."""
+
+    dragged: Dragged | None
+    """None without an encoder."""
+    hall: HallOrder | None
+    """How the Hall sensors answer, where their codes are right; None where they are not."""
+    first: str
+    """What has to be put right before the shaft may be spun; empty for nothing."""
 
 
 class Stand:
@@ -70,7 +95,13 @@ class Stand:
         self.heats: Floats = np.zeros(len(COOLING))
         """A2 s of the current's amplitude so far, as a winding keeps it that cools with each of the times COOLING."""
         self._heated = -1  # tick up to which it is counted
-        self._asked = 0.0  # A, the amplitude of the current that was last asked for
+        self._asked = 0j  # A, i_d + j i_q that was last asked for
+        self.outcomes: dict[str, Outcome] = {}
+        """Of the steps so far, by name."""
+        self.waves: tuple[Wave, ...] = ()
+        """Of the inductance's step, for a second look once the inertia is known."""
+        self.turned: Turned | None = None
+        """What the dragged turn has shown."""
         if rig.rate < rig.drive.node.identity.pwm_hz * (1 - 1e-9):
             raise BenchError(
                 f"the link carries {rig.rate:g} samples a second of {len(rig.channels)} channels, and a commissioning "
@@ -98,6 +129,34 @@ class Stand:
         if offers(node, "encoder"):
             drive.observe("encoder")
 
+    def found(self, name: str) -> Quantity:
+        """What a step has found, the last one that has; KeyError where none has."""
+        for outcome in reversed(self.outcomes.values()):
+            with suppress(KeyError):
+                return outcome[name]
+        raise KeyError(name)
+
+    def compensate(self) -> None:
+        """Of a drive at rest: its loop by what is known of the winding, the dead time compensated."""
+        bandwidth = self.u_linear / (math.tau * self.L * self.i_max)
+        self.set(
+            R_s_hat=self.R, L_s_hat=self.L, bw_current=min(FASTEST_LOOP, bandwidth, 0.05 / self.T),
+            dead_time_hat=self.dead_time, dead_time_comp=1.0,
+        )  # fmt: skip
+
+    @property
+    def rpm(self) -> float:
+        """r/min of the shaft, the most that was agreed to and that the drive lets one ask for."""
+        return min(self.rig.drive.envelope.rpm, self.rig.drive.parameters.get("omega_m_max", math.inf) / RPM)
+
+    def require_every_period(self, step: str) -> None:
+        """Raise Refused where the link does not carry every PWM period: what turns cannot wait for a slow one."""
+        if self.rig.full_rate is not None:
+            raise Refused(
+                step, "the link does not carry every PWM period, and a shaft that turns does not wait for it: use USB, "
+                "TCP or a serial link of 3 Mbaud"
+            )  # fmt: skip
+
     def allow_voltage(self, volts: float) -> None:
         """Of a drive at rest: the largest voltage that it takes from VOLTAGE and from a test signal."""
         allowed = self.rig.drive.node.parameter("u_test_max")
@@ -113,10 +172,11 @@ class Stand:
     # -- outputs ------------------------------------------------------------------------------------------------
 
     @contextmanager
-    def running(self, step: str, angle: float = 0.0) -> Iterator[None]:
+    def running(self, step: str, angle: float | None = 0.0) -> Iterator[None]:
         """Within this the outputs are on, at a made angle (electrical rad) and no current; then they are off.
 
-        Raises Refused where the drive trips.
+        `angle` None: at the encoder's, and the shaft is let go where it is faster than was agreed to. Raises Refused
+        where the drive trips.
         """
         drive = self.rig.drive
         self.step = step
@@ -124,12 +184,15 @@ class Stand:
             drive.start()
             with drive.node.unwaited():
                 drive.current(0.0, 0.0)
-                self.turn_to(angle)
+                if angle is None:
+                    drive.may_turn_freely(self.rpm)
+                else:
+                    self.turn_to(angle)
                 yield
         except DriveTripped as error:
             raise Refused(step, self._why_tripped(error)) from error
         finally:
-            self._asked = 0.0
+            self._asked = 0j
             drive.stop()
 
     def _why_tripped(self, error: DriveTripped) -> str:
@@ -138,6 +201,7 @@ class Stand:
             "OVERCURRENT": "a winding has a short, or the current loop is unstable",
             "UNDERVOLTAGE": "the supply limits its current, or is switched off",
             "OVERVOLTAGE": "the motor feeds the DC link, which nothing takes the energy of",
+            "OVERSPEED": "the shaft is faster than was agreed to: agree to less current, or to more speed",
             "OVERLOAD": "the winding is not meant for this current: lower --current, or check i_cont and i2t_max",
         }
         reasons = [hint[name] for name in faults if name in hint]
@@ -153,6 +217,11 @@ class Stand:
         if not self.rig.until(near, math.pi / FASTEST_TURN + 0.3):
             raise Refused(self.step, f"the drive's forced angle did not go to {math.degrees(there):.0f} deg")
 
+    def drag(self, omega: float, slope: float) -> None:
+        """Have the made angle turn, electrical rad/s, with a ramp of `slope`, rad/s2."""
+        self._follow()
+        self.rig.drive.force_speed(omega, slope)
+
     def voltage(self, u_d: float, u_q: float = 0.0) -> None:
         """Give the voltage, V, in the frame of the made angle."""
         self._follow()
@@ -162,7 +231,7 @@ class Stand:
         """Ask the current loop for a current, A, in the frame of the made angle."""
         self._follow()
         self.rig.drive.current(i_q, i_d)
-        self._asked = math.hypot(i_d, i_q)
+        self._asked = complex(i_d, i_q)
 
     def ramp(self, first: float, last: float, seconds: float, steps: int = 12) -> None:
         """A d current that grows in steps, for a rotor that comes with it."""
@@ -183,6 +252,20 @@ class Stand:
         self._follow()
         return self._checked(self._window(self.rig.record(seconds), kind))
 
+    @contextmanager
+    def stretch(self, kind: str) -> Iterator[Stretch]:
+        """What happens inside, as one window after it, if it ends without an exception.
+
+        Raises Refused as `run` does. Ask for a current before it, so that all of the window is under one command.
+        """
+        taken = Stretch()
+        with self.rig.recording() as recorded:
+            yield taken
+        capture = recorded.capture
+        self._require_whole(capture)
+        window = window_of(capture, self.T, self.offsets, kind)
+        taken.window = self._checked(replace(window, i_ref=self._asked))
+
     def _checked(self, window: Window) -> Window:
         most = float(np.abs(window.i).max(initial=0.0))
         if most > BEYOND * self.i_max + 6.0 * self.noise and self.noise:
@@ -200,8 +283,7 @@ class Stand:
         self._follow()
 
     def _window(self, capture: Capture, kind: str) -> Window:
-        if capture.dropped:
-            raise Refused(self.step, f"samples were lost: {capture.dropped[0][2]}; measure again, on a faster link")
+        self._require_whole(capture)
         window = window_of(capture, self.T, self.offsets, kind)
         first, last = int(capture.samples.tick[0]), int(capture.samples.tick[-1])
         if self._heated >= 0:
@@ -210,7 +292,11 @@ class Stand:
         own = max(float(np.mean(np.abs(window.current) ** 2)) - self._square_of_noise, 0.0)
         self._warm(own, window.seconds)
         self._heated = last
-        return replace(window, i_ref=complex(self._asked, 0.0))
+        return replace(window, i_ref=self._asked)
+
+    def _require_whole(self, capture: Capture) -> None:
+        if capture.dropped:
+            raise Refused(self.step, f"samples were lost: {capture.dropped[0][2]}; measure again, on a faster link")
 
     def _warm(self, square: float, seconds: float) -> None:
         """A current of this mean square (A2) flows for so long."""
@@ -225,7 +311,7 @@ class Stand:
     def _mean_square(self, first: int, last: int) -> float:
         """A2 between two windows: as streamed, or of the current that was asked for where the drive held samples."""
         if self.rig.full_rate is not None or last <= first + 1:
-            return self._asked**2
+            return abs(self._asked) ** 2
         between = window_of(self.rig.between(first, last), self.T, self.offsets, "")
         return max(float(np.mean(np.abs(between.current) ** 2)) - self._square_of_noise, 0.0)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,3 +93,32 @@ class Window:
     def seconds(self) -> float:
         """s that it lasts."""
         return len(self) * self.T
+
+    def last(self, seconds: float) -> Window:
+        """Its last part of so many s."""
+        return self._part(max(len(self) - max(round(seconds / self.T), 2), 0), len(self))
+
+    def until(self, other: Window) -> Window:
+        """Its part up to where `other` ends."""
+        return self._part(0, int(np.searchsorted(self.index, other.index[-1], side="right")))
+
+    def _part(self, begin: int, end: int) -> Window:
+        edges, first, last = self.edges, self.index[begin], self.index[end - 1]
+        inside = (edges.index >= first) & (edges.index <= last)
+        part = slice(begin, end)
+        return replace(
+            self, i=self.i[:, part], u=self.u[part], u_dc=self.u_dc[part],
+            theta=None if self.theta is None else self.theta[part], control=self.control[part],
+            index=self.index[part], cycle=self.cycle[part],
+            edges=Edges(edges.old[inside], edges.new[inside], edges.index[inside], edges.count[inside]),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A window under a square wave of `half` + `half` periods on `axis`, u_d or u_q, beside a d current of `bias` A."""
+
+    window: Window
+    axis: str
+    half: int
+    bias: float

@@ -211,6 +211,7 @@ class RunawayGuard(Runaway):
     def ask(self, omega_m: float | None) -> None:
         """See `Runaway.ask`."""
         self._waiting, self._held = [], 0
+        self._n_p = pole_pairs(self._parameters)  # a commissioning finds them
         estimate = speed_channel(self._stream.channels, self._parameters)
         self._estimate = "" if estimate == self._omega else estimate
         known = (

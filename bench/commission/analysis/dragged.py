@@ -21,7 +21,7 @@ from bench.findings.finding import degrees
 from bench.signal.hall_edges import mean_angle
 from bench.signal.position import unwrapped, wrapped
 
-STEP = "dragged turn"
+STEP = "turn"
 FOLLOWS = 0.25
 """Share of the way of a shaft with the most pole pairs, below which it does not follow."""
 MOST_PAIRS = 70

@@ -18,6 +18,7 @@ from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.stand import Stand
 from bench.commission.window import Floats, Window
+from bench.rig.envelope import Envelope
 
 STEP = "first-current"
 ANGLES = (0.0, 2.0 * math.pi / 3.0, -2.0 * math.pi / 3.0)
@@ -207,9 +208,9 @@ def _rough_inductance(stand: Stand, u: float, R: float) -> tuple[float, float]:
     return amplitude * HALF * stand.T / ripple, ripple
 
 
-def announcement(i_max: float) -> str:
-    """What will be done, with `i_max` A agreed to."""
+def announcement(agreed: Envelope) -> str:
+    """What will be done, within what was agreed to."""
     return (
-        f"a voltage in small steps at three angles until {ENOUGH * i_max:.3g} A flow; the shaft jumps into place "
-        "each time, by less than an electrical revolution"
+        f"a voltage in small steps at three angles until {ENOUGH * agreed.current:.3g} A flow; the shaft jumps into "
+        "place each time, by less than an electrical revolution"
     )

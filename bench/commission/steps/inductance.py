@@ -27,7 +27,8 @@ from bench.commission.outcome import Evidence, Outcome, Panel
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.stand import Stand
-from bench.commission.window import Floats, Window, clarke
+from bench.commission.window import Floats, Wave, clarke
+from bench.rig.envelope import Envelope
 
 STEP = "inductance"
 BIASES = (0.2, 0.35, 0.5, 0.7)
@@ -56,16 +57,6 @@ FLOOR_Q = 3e-3
 """And of L_q without a current, besides."""
 FLOOR_NOISE = 0.2
 """And what it leaves on a drive that is too large for the motor: so many times noise over agreed current."""
-
-
-@dataclass(frozen=True)
-class Wave:
-    """A window under a square wave of `half` + `half` periods on `axis`, u_d or u_q, beside a d current of `bias` A."""
-
-    window: Window
-    axis: str
-    half: int
-    bias: float
 
 
 @dataclass(frozen=True)
@@ -275,12 +266,13 @@ def perform(stand: Stand) -> Outcome:
     found = analyse(waves, stand.R, stand.gains, stand.i_max, stand.noise)
     stand.L = 0.5 * (found.L_d + found.L_q)
     stand.set(L_s_hat=stand.L)
+    stand.waves, stand.outcomes[STEP] = tuple(waves), found.outcome
     return found.outcome
 
 
-def announcement(i_max: float) -> str:
-    """What will be done, with `i_max` A agreed to."""
+def announcement(agreed: Envelope) -> str:
+    """What will be done, within what was agreed to."""
     return (
-        f"square waves on the voltage beside d currents up to {max(BIASES) * i_max:.3g} A, at one angle, "
+        f"square waves on the voltage beside d currents up to {max(BIASES) * agreed.current:.3g} A, at one angle, "
         "about 5 s; the shaft trembles"
     )

@@ -12,6 +12,7 @@ from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.stand import Stand
 from bench.commission.window import Floats, Window
+from bench.rig.envelope import Envelope
 
 STEP = "offsets"
 SECONDS = 0.3
@@ -80,6 +81,6 @@ def perform(stand: Stand) -> Outcome:
     return found.outcome
 
 
-def announcement(i_max: float) -> str:
-    """What will be done, with `i_max` A agreed to."""
+def announcement(agreed: Envelope) -> str:
+    """What will be done, within what was agreed to."""
     return f"outputs off, {SECONDS:g} s: offsets and noise of the current sensors, DC link voltage"

@@ -23,6 +23,7 @@ from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.stand import COOLING, Stand
 from bench.commission.window import Booleans, Floats, Integers, Window, clarke
+from bench.rig.envelope import Envelope
 
 STEP = "resistance"
 ANGLES = (0.0, 2.0 * math.pi / 3.0, -2.0 * math.pi / 3.0)
@@ -264,6 +265,7 @@ def perform(stand: Stand) -> Outcome:
     found = analyse(held, stand.i_max, stand.noise)
     stand.R, stand.gains, stand.dead_time = found.R, found.gains, found.dead_time
     stand.set(R_s_hat=found.R)
+    stand.outcomes[STEP] = found.outcome
     return found.outcome
 
 
@@ -278,9 +280,9 @@ def _come_to_rest(stand: Stand) -> None:
             return
 
 
-def announcement(i_max: float) -> str:
-    """What will be done, with `i_max` A agreed to."""
-    most = LEVELS.max() * i_max
+def announcement(agreed: Envelope) -> str:
+    """What will be done, within what was agreed to."""
+    most = LEVELS.max() * agreed.current
     return (
         f"{len(LEVELS)} levels of d current up to {most:.3g} A, twice at each of three angles, "
         f"about {len(PASSES) * (len(LEVELS) * (SETTLE + MEASURE) + 1.0):.0f} s; the shaft moves to each angle"

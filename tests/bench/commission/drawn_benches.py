@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +18,10 @@ from sim.plant.warming import COPPER
 
 PAPER = "paper"
 NAMES = (PAPER, *motors())
-UNKNOWN = {"firmware.R_s_hat": 1.0, "firmware.L_s_hat": 1e-3, "firmware.psi_f_hat": 1e-5}
+UNKNOWN = {
+    "firmware.R_s_hat": 1.0, "firmware.L_s_hat": 1e-3, "firmware.psi_f_hat": 1e-5, "firmware.J_hat": 1e-3,
+    "firmware.n_p": 1, "firmware.dead_time.dead_time_hat": 0.0, "firmware.hall_offset": 0.0,
+}  # fmt: skip
 """What a drive assumes that knows no motor."""
 
 
@@ -28,6 +32,17 @@ class MadeBench:
     config: dict[str, Any]
     i_max: float
     truth: Mapping[str, float] = field(default_factory=dict)
+    """What a shaft at rest shows,"""
+    turning: Mapping[str, float] = field(default_factory=dict)
+    """and one that turns."""
+    n_p: int = 1
+    rpm: float = 0.0
+    """The drive's own limit."""
+    encoder_zero: float = 0.0
+    """rad: what that parameter should be."""
+    places: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """rad, of six edges `up` and `down`, the mean of the pole pairs."""
+    encoder: bool = True
 
 
 def made(name: str, hard: bool, **overrides: Any) -> MadeBench:
@@ -36,7 +51,7 @@ def made(name: str, hard: bool, **overrides: Any) -> MadeBench:
 
 
 def drawn(name: str, seed: int, hard: bool = True) -> MadeBench:
-    """A bench of which all that a standstill shows is drawn around the motor's figures."""
+    """A bench of which all that is to be found is drawn around the motor's figures."""
     rng, base = np.random.default_rng([seed, NAMES.index(name), hard]), _base(name)
     u, motor = rng.uniform, base.motor
     i = motor.i_max / 8.0
@@ -45,6 +60,8 @@ def drawn(name: str, seed: int, hard: bool = True) -> MadeBench:
         "motor.L_q": (L := u(0.85, 1.15) * motor.L_q), "motor.L_d": L * u(0.85, 1.0),
         "mechanics.J": (J := base.mechanics.J * u(0.3, 1.5)), "mechanics.theta_0_deg": u(0, 360),
         "inverter.dead_time": u(0.5e-6, 1.5e-6), "encoder.offset_deg": u(-179, 179),
+        "mechanics.b": base.mechanics.b * u(0.5, 2.0), "hall.delta_deg": [float(x) for x in u(-9, 9, 6)],
+        "hall.offset_deg": float(rng.choice([0.0, 120.0, -120.0, 180.0, 47.0])),
     }  # fmt: skip
     if hard:
         effects = unkind(base)
@@ -57,7 +74,10 @@ def drawn(name: str, seed: int, hard: bool = True) -> MadeBench:
             "thermal.ambient": u(15, 35), "motor.i_sat": motor.i_max * u(1.8, 4),
             "coupling.stiffness": float(effects["coupling.stiffness"]) * J / base.mechanics.J,  # type: ignore[arg-type]
             "coupling.damping": float(effects["coupling.damping"]) * J / base.mechanics.J,  # type: ignore[arg-type]
-            "inverter.u_device": u(0.02, 0.08),
+            "inverter.u_device": u(0.02, 0.08), "hall.latency": u(1e-6, 1e-5),
+            "motor.emf_harmonics": [float(x) for x in np.array([0.03, -0.015, 0.006, 0.004]) * u(-1.5, 1.5, 4)],
+            "motor.cogging": [float(x) for x in np.array(effects["motor.cogging"]) * u(0.3, 1.5, 2)],
+            "mechanics.tau_coulomb": float(effects["mechanics.tau_coulomb"]) * u(0.5, 1.5),  # type: ignore[arg-type]
         }  # fmt: skip
     return _bench(name, hard, settings)
 
@@ -78,7 +98,10 @@ def _bench(name: str, hard: bool, settings: Mapping[str, Any]) -> MadeBench:
             section = section.setdefault(part, {})
         section[last] = value
     p = load_params(file, overrides)
-    return MadeBench(config, base.motor.i_max, _truth(p))
+    return MadeBench(
+        config, base.motor.i_max, _truth(p), _turning(p), p.motor.n_p, p.firmware.omega_m_max * 60.0 / math.tau,
+        -math.radians(p.encoder.offset_deg), _places(p), bool(p.encoder.present),
+    )  # fmt: skip
 
 
 def _truth(p: BenchParams) -> dict[str, float]:
@@ -93,6 +116,29 @@ def _truth(p: BenchParams) -> dict[str, float]:
     }  # fmt: skip
     dead = u_dc * p.inverter.dead_time * p.clock.pwm_hz + p.inverter.u_device
     return {name: value / gain for name, value in absolute.items()} | {"U_dead": dead}
+
+
+def _turning(p: BenchParams) -> dict[str, float]:
+    """Torques by the drive's amperes, too; the magnet as warm as the air."""
+    gain = 1.0 + float(np.mean(p.current_sensor.gain_error))
+    warm = p.thermal.ambient - 20.0 if p.thermal.R_th_winding else 0.0
+    shaft = p.mechanics
+    return {
+        "psi_f": p.motor.psi_f * (1.0 + p.thermal.magnet * warm),
+        "J": shaft.J * gain, "b": shaft.b * gain, "tau_c": shaft.tau_coulomb * gain,
+    }  # fmt: skip
+
+
+def _places(p: BenchParams) -> dict[str, list[float]]:
+    """Where the six edges are passed, with the mean of what each pole pair adds, as `sim.plant.hall_sensor` says."""
+    own, around = lambda n: 2.0 * math.modf(math.sin(12.9898 * (n + 1)) * 43758.5453)[0], 6 * p.motor.n_p
+    places: dict[str, list[float]] = {"up": [], "down": []}
+    for s, delta in enumerate(p.hall.delta_deg):
+        each = [own((s + 6 * q) % around) for q in range(p.motor.n_p)]
+        more = float(np.mean([(x if x >= 0.0 else x + 2.0) - 1.0 for x in each])) * p.hall.pole_pair_deg
+        for way, sign in (("up", 0.5), ("down", -0.5)):
+            places[way].append(math.radians(p.hall.offset_deg + 60 * s - delta + more + sign * p.hall.hysteresis_deg))
+    return places
 
 
 def incremental(p: BenchParams, i: float) -> tuple[float, float]:

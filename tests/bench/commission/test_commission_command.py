@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -23,7 +25,7 @@ from bench.param import dump
 from sim.ports.device import SimulatedDevice
 from tests.bench.virtual_run import TARGET, RecordingScreen, WatchedLink, never_armed, physical, raising, simulated
 
-R, L, DEAD = 0.158, 0.176e-3, 1e-6
+R, L, DEAD, PSI, J, N_P = 0.158, 0.176e-3, 1e-6, 6.55e-3, 2e-4, 6
 """Of the simulated drive as it is."""
 
 
@@ -37,7 +39,7 @@ def run_on(
     screen: RecordingScreen | None = None,
     **options: Any,
 ) -> Commissioned:
-    given: dict[str, Any] = {"target": TARGET, "current_a": 8.0} | options
+    given: dict[str, Any] = {"target": TARGET, "current_a": 8.0, "speed_rpm": 3000.0} | options
     with patch("bench.commission.command.open_target", lambda *_: link):
         return commission(Options(**given), screen or RecordingScreen(), confirm)
 
@@ -50,7 +52,7 @@ def left_alone(device: SimulatedDevice, before: dict[str, float]) -> bool:
 # -- the command ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.long("a recording and four pictures")
+@pytest.mark.long("a recording and seven pictures")
 def test_what_it_writes_can_be_loaded_looked_at_and_read(tmp_path: Path) -> None:
     out, data, report = tmp_path / "found.toml", tmp_path / "found.json", tmp_path / "report"
     ended = invoked("sim", "-o", str(out), "--json", str(data), "--report", str(report))
@@ -65,6 +67,11 @@ def test_what_it_writes_can_be_loaded_looked_at_and_read(tmp_path: Path) -> None
     assert parameters["R_s_hat"] == pytest.approx(R, rel=5e-3)
     assert parameters["L_s_hat"] == pytest.approx(L, rel=15e-3)
     assert parameters["dead_time_hat"] == pytest.approx(DEAD, rel=15e-3)
+    assert parameters["psi_f_hat"] == pytest.approx(PSI, rel=7e-3)
+    assert parameters["J_hat"] == pytest.approx(J, rel=15e-3)
+    assert parameters["n_p"] == N_P
+    assert {"bw_current", "k_p_speed", "k_p_vt", "encoder_zero", "edge_up_1", "edge_down_6", "i_trip"} <= {*parameters}
+    assert not {"u_dc_max", "i_cont", "i2t_max"} & {*parameters}  # no measurement tells what drive and winding bear
     assert "in the drive's own volts and amperes" in out.read_text()
     assert dict(dump.read(out).parameters) == pytest.approx(parameters)
     for step in STEPS:
@@ -93,6 +100,7 @@ def test_the_file_is_loaded_by_bench_param(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [(["--step", "rr"], "no step 'rr' of a commissioning"), (["--current", "0"], "must be above 0"),
+     (["--speed", "9000"], "speed 9000 r/min is beyond the drive's limit"),
      (["--current", "9"], "current 9 A is beyond the drive's limit of 8 A"), (["--current", "-1"], "must be above 0")],
 )  # fmt: skip
 def test_what_cannot_be_asked_for_is_told(arguments: list[str], words: str) -> None:
@@ -105,6 +113,8 @@ def test_steps_bring_along_what_they_need() -> None:
     assert [step.name for step in chosen(["l"])] == ["offsets", "first-current", "resistance", "inductance"]
     assert [step.name for step in chosen(["R", "offsets"])] == ["offsets", "first-current", "resistance"]
     assert [step.name for step in chosen(["noise"])] == ["offsets"]
+    assert [step.name for step in chosen(["spin"])][-2:] == ["turn", "spin"]
+    assert [step.name for step in chosen(["check"])][-2:] == ["inductance", "check"]
     assert chosen(None) == STEPS
     with pytest.raises(BenchError, match="did you mean"):
         chosen(["inductanse"])
@@ -137,6 +147,55 @@ def test_a_physical_drive_needs_to_be_told_the_current() -> None:
     assert never_armed(link)
 
 
+def test_a_physical_drive_needs_to_be_told_the_speed_before_it_is_spun() -> None:
+    link = WatchedLink(physical())
+    with pytest.raises(BenchError, match=r"name it with --speed R/MIN, or take steps .*--step offsets,.*,check"):
+        run_on(link, speed_rpm=None, yes=True)
+    assert never_armed(link)
+
+
+@pytest.mark.parametrize(
+    ("steps", "question", "rpm"),
+    [(("l",), "to be held at rest", 0), (("turn",), "up to 189.* r/min", 190), (("spin",), "up to 1500 r/min", 1500)],
+)
+def test_the_question_has_the_speed_that_the_steps_need(steps: tuple[str, ...], question: str, rpm: float) -> None:
+    asked: list[str] = []
+    link = WatchedLink(physical())
+    with pytest.raises(UnsafeError, match="not confirmed"):
+        run_on(link, confirm=lambda words: bool(asked.append(words)), steps=steps, speed_rpm=1500.0)
+    assert re.search(question, asked[0])
+    assert never_armed(link)
+
+
+@pytest.mark.long("a commissioning from the beginning to the end")
+def test_before_it_turns_and_before_it_turns_fast_somebody_is_asked() -> None:
+    questions: list[str] = []
+
+    @contextmanager
+    def ask(words: str) -> Iterator[Callable[[float], bool]]:
+        questions.append(words)
+        yield lambda timeout: True
+
+    with patch("bench.commission.command.open_target", lambda *_: WatchedLink(physical())):
+        done = commission(
+            Options(TARGET, current_a=8.0, speed_rpm=1000.0), RecordingScreen(), lambda question: True, ask
+        )
+    assert not done.refused
+    (turn,), (spin,) = ([q for q in questions if f"free for {name}," in q] for name in ("turn", "spin"))
+    assert turn.endswith("with up to 8 A, and turns")
+    assert spin.endswith("and up to 1000 r/min")
+    assert done.found["psi_f"].covers(PSI)
+
+
+def test_a_held_shaft_still_gets_all_that_can_be_told_at_rest() -> None:
+    link = WatchedLink(simulated(mechanics__tau_coulomb=0.4))
+    before = dict(link.device.bench.parameters)
+    done = run_on(link)
+    assert "does not follow" in done.refused["turn"]
+    assert set(done.outcomes) == {"offsets", "first-current", "resistance", "inductance", "check"}
+    assert left_alone(link.device, before)
+
+
 def test_every_step_says_what_it_will_do_before_it_does() -> None:
     link, screen, questions = WatchedLink(physical()), RecordingScreen(), []
     done = run_on(
@@ -151,6 +210,7 @@ def test_every_step_says_what_it_will_do_before_it_does() -> None:
 # -- what is left ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long("a commissioning from the beginning to the end")
 def test_the_drive_is_as_it_was() -> None:
     link = WatchedLink(simulated())
     before = dict(link.device.bench.parameters)
@@ -179,6 +239,17 @@ def test_a_bus_that_is_too_slow_is_helped_by_the_drives_memory(network: str) -> 
     done = run_on(link, steps=("r",))
     assert done.found["R_s"].covers(R)
     assert done.found["R_s"].value == pytest.approx(R, rel=5e-3)
+    assert left_alone(link.device, before)
+
+
+@pytest.mark.campaign("commission")
+@pytest.mark.long("captures over a slow bus")
+def test_a_bus_that_is_too_slow_turns_nothing() -> None:
+    link = WatchedLink(simulated(network="CAN FD"))
+    before = dict(link.device.bench.parameters)
+    done = run_on(link)
+    assert "the link does not carry every PWM period" in done.refused["turn"]
+    assert set(done.outcomes) == {"offsets", "first-current", "resistance", "inductance", "check"}
     assert left_alone(link.device, before)
 
 

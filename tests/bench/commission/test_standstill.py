@@ -12,7 +12,7 @@ from windings import T, Winding, phases, seen_by, window
 from bench.commission.refusal import Refused
 from bench.commission.stand import COOLING
 from bench.commission.steps import first_current, inductance, offsets, resistance
-from bench.commission.window import Window, clarke
+from bench.commission.window import Wave, Window, clarke
 
 MOTORS = [(0.158, 0.176e-3, 8.0), (10.3, 4.3e-3, 1.0), (0.03, 20e-6, 30.0), (2.9, 2.2e-3, 1.5), (0.4, 0.2e-3, 15.0)]
 """R in ohm, L in H, the agreed current in A."""
@@ -216,7 +216,7 @@ def squared(
     )  # fmt: skip
 
 
-def waves(R: float, i_max: float, L_of: dict[str, float], a: float = 0.0, K: float = 0.0) -> list[inductance.Wave]:
+def waves(R: float, i_max: float, L_of: dict[str, float], a: float = 0.0, K: float = 0.0) -> list[Wave]:
     """All windows of the step: L falls with the d current as 1 / (1 + a (i / i_max)^2)."""
     made = []
     for share in BIASES:
@@ -225,7 +225,7 @@ def waves(R: float, i_max: float, L_of: dict[str, float], a: float = 0.0, K: flo
                 L = L_of[axis] / (1.0 + a * share**2)
                 swing = part * i_max * min(share, 0.4)
                 shown = squared(R, L, i_max, axis, half, share * i_max, swing, K if axis == "u_q" else 0.0)
-                made.append(inductance.Wave(shown, axis, half, share * i_max))
+                made.append(Wave(shown, axis, half, share * i_max))
     return made
 
 
@@ -264,7 +264,7 @@ def test_noise_does_not_make_l_smaller(R: float, L: float, i_max: float) -> None
     rng, values = np.random.default_rng(11), []
     made = squared(R, L, i_max, "u_d", 4, 0.2 * i_max, 0.08 * i_max, cycles=310)
     for _ in range(20):
-        noisy = inductance.Wave(seen_by(made, rng, 0.01 * i_max), "u_d", 4, 0.2 * i_max)
+        noisy = Wave(seen_by(made, rng, 0.01 * i_max), "u_d", 4, 0.2 * i_max)
         values.append(inductance.slope(noisy, R, np.ones(3)).L)
     assert np.mean(values) == pytest.approx(L, rel=4e-3)
 
@@ -276,7 +276,7 @@ def test_a_link_that_gives_way_is_no_inductance() -> None:
     sign = np.where(np.arange(n + 3) % (2 * half) < half, -1.0, 1.0)
     link = 24.0 + np.cumsum(sign - sign.mean()) * 0.004
     made = squared(R, L, i_max, "u_d", half, 4.0, 1.28, link=link)
-    found = inductance.slope(inductance.Wave(made, "u_d", half, 4.0), R, np.ones(3))
+    found = inductance.slope(Wave(made, "u_d", half, 4.0), R, np.ones(3))
     assert pytest.approx(L, rel=1e-4) == found.L
     assert abs(found.link) > 1e-4 * L
 
@@ -287,7 +287,7 @@ def test_cycles_that_are_not_whole_are_refused() -> None:
     torn = replace(made, cycle=np.roll(made.cycle, 1) & (np.arange(len(made)) > 200) | made.cycle)
     for bad in (torn, replace(made, cycle=np.zeros(len(made), bool))):
         with pytest.raises(Refused, match="8 PWM periods long"):
-            inductance.slope(inductance.Wave(bad, "u_d", 4, 1.6), R, np.ones(3))
+            inductance.slope(Wave(bad, "u_d", 4, 1.6), R, np.ones(3))
 
 
 def test_a_current_that_does_not_answer_is_refused() -> None:
@@ -297,4 +297,4 @@ def test_a_current_that_does_not_answer_is_refused() -> None:
     for _ in range(10):
         noisy = seen_by(made, rng, 0.1)
         with pytest.raises(Refused, match="less than the noise"):
-            inductance.slope(inductance.Wave(noisy, "u_d", 4, 1.6), R, np.ones(3))
+            inductance.slope(Wave(noisy, "u_d", 4, 1.6), R, np.ones(3))
