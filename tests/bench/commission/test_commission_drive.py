@@ -27,6 +27,8 @@ WITHIN = {
 EDGES = math.radians(0.25)
 """And of Hall edges and the encoder's zero, rad."""
 STANDSTILL = STEPS[:4]
+UNSEEN = 3000
+"""The first seed of benches that no figure of the method was set on: those up to 2012 were looked at."""
 LONGEST = 60.0
 """s of drive time that a commissioning may take."""
 MOTORS = [PAPER, *(pytest.param(name, marks=pytest.mark.slow)
@@ -160,7 +162,7 @@ def test_without_an_encoder_the_windings_and_the_hall_sensors_are_found() -> Non
 @pytest.mark.long("a hundred benches")
 def test_a_hundred_drawn_benches_are_inside_their_intervals() -> None:
     """Nine benches of each motor, and one more of the first: coverage of each quantity, and the worst error."""
-    inside, worst, refused = coverage([(name, 1000 + seed) for seed in range(10) for name in NAMES][:100])
+    inside, worst, refused = coverage([(name, UNSEEN + seed) for seed in range(10) for name in NAMES][:100])
     told = {key: (inside[key], worst[key]) for key in worst}
     assert not refused
     assert all(inside[key] >= 90 * (12 if key == "edges" else 1) for key in worst), told
