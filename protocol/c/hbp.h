@@ -1,8 +1,8 @@
 /* hbp.h: the device side of HBP 1.1, the Hall Bench Protocol (protocol/SPEC.md), in C99. This comment is the manual.
  *
- * WHAT.  Copy hbp.h, hbp_way.h, hbp.c and hbp_capture.c into a firmware (and hbp_can.h, hbp_can.c for CAN), and a motor drive answers
- * `bench`: identity, parameters, states and watchdog, samples at the PWM rate, timestamped Hall edges, events, captures. No heap, no
- * operating system, no library but memcpy and memset. Proved by `bench conform`.
+ * WHAT.  Copy hbp.h, hbp_way.h, hbp.c and hbp_capture.c into a firmware (for CAN hbp_can.h and hbp_can.c, for means hbp_means.c, too), and
+ * a motor drive answers `bench`: identity, parameters, states and watchdog, samples at the PWM rate, timestamped Hall edges, events,
+ * captures. No heap, no operating system, no library but memcpy and memset. Proved by `bench conform`.
  *
  * MEMORY.  The caller owns all of it: one `struct hbp_link` for each serial port, USB or TCP connection, one `struct hbp` for each
  * device behind it (one, as a rule). Their size follows from the options below; `docs/firmware.md` has figures.
@@ -98,8 +98,8 @@
  *
  * TIME OF THE INTERRUPTS.  hbp_tick copies the chosen channels of each running stream: on a Cortex-M4, compiled for size, 47 instructions, 45
  * for each running stream of samples and 17 for each of its channels; 100 more (divisions) when a stream has just started. hbp_edge takes 53,
- * hbp_may_run 16 and hbp_raise 22. While a capture waits hbp_tick takes 40 more, and the copying of its record, and hbp_edge 101. CRC and
- * COBS are the main loop's. Means (HBP_MEANS) take 55 for each channel of whole numbers and 130 for each f32, in the period of a record
+ * hbp_may_run 16 and hbp_raise 22. While a capture waits hbp_tick takes 40 more, and the copying of its record, and hbp_edge 101 in all. CRC
+ * and COBS are the main loop's. Means (HBP_MEANS) take 55 for each channel of whole numbers and 130 for each f32, in the period of a record
  * 290 and 640. `python -m tests.protocol.c.sizes` measures them.
  *
  * WHAT IS LOST IS COUNTED.  Samples wait in blocks, one being filled by the interrupt, until the transmit queue has room. A block that
@@ -124,7 +124,7 @@ extern "C" {
 #include HBP_OPTIONS
 #endif
 #ifndef HBP_RX_MAX
-#define HBP_RX_MAX 128 /* payload of the largest request, 128 to 1024: STREAM_SET has 8 bytes and 2 for each channel */
+#define HBP_RX_MAX 128 /* payload of the largest request, 128 to 1024: CAPTURE_ARM has 22 bytes and 2 for each channel */
 #endif
 #ifndef HBP_TX_MAX
 #define HBP_TX_MAX 256 /* payload of the largest frame sent, 128 to 1024 */

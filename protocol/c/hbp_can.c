@@ -20,7 +20,6 @@
 #define HEADER 6u
 #define CRC_BYTES 4u
 #define MAX_GROUPS 16u
-#define REPLY 0x10u
 #define HEARTBEAT_FRAMES 8u /* at most: on a classic bus */
 #define MESSAGES 0u
 #define STREAMED 1u

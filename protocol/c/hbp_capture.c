@@ -369,7 +369,7 @@ static void called(struct hbp *h, struct hbp_capture *c, uint32_t value)
 }
 
 /* Of hbp_capture_tick, what is seldom: by itself, so that the rest needs no registers saved. `value`: of the channel that is watched. */
-void hbp_capture_called(struct hbp *h, const uint8_t *sample, struct hbp_capture *c, uint32_t value)
+static HBP_APART void tick_seldom(struct hbp *h, const uint8_t *sample, struct hbp_capture *c, uint32_t value)
 {
     if (c->calls.any) called(h, c, value);
     if (c->width && fulfilled(c, value)) {
@@ -390,7 +390,7 @@ void hbp_capture_tick(struct hbp *h, const uint8_t *sample)
         value = value_in(c, sample);
         met = fulfilled(c, value);
     }
-    if (met || c->calls.any) hbp_capture_called(h, sample, c, value);
+    if (met || c->calls.any) tick_seldom(h, sample, c, value);
     else if (c->skip) c->skip--;
     else take(h, sample, c);
 }

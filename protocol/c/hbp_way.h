@@ -1,4 +1,4 @@
-/* hbp_way.h: what hbp.c and hbp_can.c share. Not for applications. */
+/* hbp_way.h: what the sources of the device side share. Not for applications. */
 #ifndef HBP_WAY_H
 #define HBP_WAY_H
 
@@ -24,7 +24,7 @@ struct hbp_way { /* how a device's messages and streams get onto its link */
     int (*send)(struct hbp *h, struct hbp_message *message);       /* 0: no room, nothing is sent */
     int (*beats)(const struct hbp *h);                             /* the last heartbeat still waits */
     uint32_t (*shape)(struct hbp *h, struct hbp_stream *s);        /* sets block, rate, groups; bytes that fit if it does not, else 0 */
-    uint16_t (*open)(struct hbp *h, struct hbp_stream *s); /* sets the slot, or refuses */
+    uint16_t (*open)(struct hbp *h, struct hbp_stream *s);         /* sets the slot, or refuses */
     int (*samples)(struct hbp *h, struct hbp_stream *s, const struct hbp_block *block, const uint8_t *records); /* 0: no room */
     int (*edges)(struct hbp *h, struct hbp_stream *s, uint16_t n); /* the n next ones, without a gap; 0: no room */
     uint8_t counts_samples; /* 1: `seq` is the number of a block's first sample; 0: it counts blocks */
@@ -84,7 +84,7 @@ uint8_t *hbp_put_header(struct hbp *h, const struct hbp_message *message); /* in
 uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags);
 int hbp_finite(float value);
 HBP_APART uint16_t hbp_refuse(struct hbp *h, uint16_t code, uint32_t number); /* a code, and its detail */
-uint16_t hbp_finish(struct hbp *h, const uint8_t *end);              /* of the reply, 0 */
+uint16_t hbp_finish(struct hbp *h, const uint8_t *end); /* the reply ends there; returns 0 */
 void hbp_event(struct hbp *h, uint32_t code, float arg, float detail);
 uint16_t hbp_next_number(uint16_t number); /* 1 … 65535, 1, … */
 uint32_t hbp_rounded_up(uint64_t index, uint16_t decimation);
@@ -138,7 +138,6 @@ static inline void hbp_means_put(const struct hbp *h, const struct hbp_stream *s
 uint32_t hbp_capture_init(struct hbp *h);
 void hbp_capture_ask(struct hbp *h, uint8_t trigger);                 /* main loop: the trigger, if it is armed with that one */
 void hbp_capture_tick(struct hbp *h, const uint8_t *sample);          /* interrupt, before the period is counted */
-void hbp_capture_called(struct hbp *h, const uint8_t *sample, struct hbp_capture *c, uint32_t value);
 void hbp_capture_edge(struct hbp *h, uint32_t tick, uint8_t codes, uint16_t encoder); /* interrupt, before the edge is counted */
 void hbp_capture_poll(struct hbp *h);
 uint16_t hbp_capture_arm(struct hbp *h, const uint8_t *in);

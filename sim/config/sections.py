@@ -14,6 +14,7 @@ from typing import Annotated, Any, Self, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, AngleSource, Flag, Parameter
+from sim.config.derive import rounded
 from sim.config.errors import explain
 from sim.config.saturation import least_i_cross
 
@@ -113,16 +114,17 @@ class Motor(Section):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        most = 0.5 * min(self.L_d, self.L_q)
-        if self.L_skin > most:
+        most = rounded(math.pi * self.skin_hz * min(self.L_d, self.L_q), 3)
+        if self.skin_R > most:
             raise ValueError(
-                f"skin_R must be <= {2.0 * math.pi * self.skin_hz * most:.3g} ohm at skin_hz = {self.skin_hz:g} Hz, "
+                f"skin_R must be <= {most:g} ohm at skin_hz = {self.skin_hz:g} Hz, "
                 f"where half of the inductance is gone, got {self.skin_R:g}"
             )
-        if self.i_cross and self.i_cross < (least := least_i_cross(self.L_d, self.L_q, self.psi_f, self.i_max)):
+        least = rounded(least_i_cross(self.L_d, self.L_q, self.psi_f, self.i_max), 3) if self.i_cross else 0.0
+        if self.i_cross < least:
             raise ValueError(
-                f"i_cross must be >= {least:.3g} A, or 0 for none: below, a current of twice i_max has no one flux; "
-                f"got {self.i_cross:g}"
+                f"i_cross must be >= {least:g} A, or 0 for none: below, a current of up to twice i_max "
+                f"has more than one flux linkage, or none; got {self.i_cross:g}"
             )
         return self
 
@@ -562,7 +564,7 @@ class BenchParams(Section):
             ("mechanics.J", self.mechanics.J, friction * h, "kg m2"),
             ("inverter.i_smooth", inverter.i_smooth, lost * h / L / 2.0, "A"),
         ):
-            if value < least:
+            if value < rounded(least, 3):
                 raise ValueError(
                     f"{name} must be >= {least:.3g} {unit} for integration steps of {h:.3g} s, got {value:g}; "
                     f"take more clock.substeps"
@@ -570,18 +572,16 @@ class BenchParams(Section):
         coupling = self.coupling
         if coupling.stiffness:
             least = self.mechanics.J * min(coupling.load_share, 1.0 - coupling.load_share)
-            most = min(0.1 * least / h**2, 1e5)  # a tenth of what Verlet's method bears, with either side alone
-            if coupling.stiffness > most:
-                raise ValueError(
-                    f"coupling.stiffness must be <= {most:.3g} N m/rad for integration steps of {h:.3g} s and "
-                    f"{least:.3g} kg m2, the lesser of two inertias, got {coupling.stiffness:g}; "
-                    f"take more clock.substeps"
-                )
-            if coupling.damping > 0.1 * least / h:
-                raise ValueError(
-                    f"coupling.damping must be <= {0.1 * least / h:.3g} N m s/rad for integration steps of {h:.3g} s, "
-                    f"got {coupling.damping:g}; take more clock.substeps"
-                )
+            # a tenth of what Verlet's method bears, with either side alone
+            for name, value, most, unit in (
+                ("stiffness", coupling.stiffness, min(0.1 * least / h**2, 1e5), "N m/rad"),
+                ("damping", coupling.damping, 0.1 * least / h, "N m s/rad"),
+            ):
+                if value > rounded(most, 3):
+                    raise ValueError(
+                        f"coupling.{name} must be <= {most:.3g} {unit} for integration steps of {h:.3g} s and "
+                        f"{least:.3g} kg m2, the lesser of two inertias, got {value:g}; take more clock.substeps"
+                    )
         link = self.dc_link
         if link.i_limit and not link.R_source:
             raise ValueError(f"dc_link.i_limit must be 0 where dc_link.R_source = 0, got {link.i_limit:g}")

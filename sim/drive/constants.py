@@ -124,10 +124,9 @@ def of_hall_input(p: BenchParams) -> hall_input.Settings:
 def of_motor(p: BenchParams, now: warming.Factors = warming.COLD) -> pmsm.Params:
     """The motor's constants, as warm as it is."""
     own = p.motor
-    L_skin = skin_effect.inductance(own.skin_R, own.skin_hz)
     figures = own.model_dump(exclude={"i_max", "i_cross", "iron_hysteresis", "iron_eddy", "skin_R", "skin_hz"})
     figures |= {"R_s": now.R_s * own.R_s + own.skin_R, "psi_f": now.psi_f * own.psi_f}
-    figures |= {"L_d": own.L_d - L_skin, "L_q": own.L_q - L_skin}
+    figures |= {"L_d": own.L_d - own.L_skin, "L_q": own.L_q - own.L_skin}
     return pmsm.with_crossing(pmsm.make_params(**figures), own.i_cross)
 
 

@@ -57,6 +57,20 @@ def refusal(key: str, value: object) -> str:
 
 
 @pytest.mark.parametrize(
+    ("key", "value", "others"),
+    [("motor.i_cross", 1.0, {}), ("motor.skin_R", 50.0, {}), ("mechanics.J", 1e-12, {"mechanics.b": 0.1}),
+     ("inverter.i_smooth", 1e-3, {}), ("coupling.stiffness", 1e5, {}),
+     ("coupling.damping", 10.0, {"coupling.stiffness": 1.0})],
+)  # fmt: skip
+def test_the_limit_that_a_refusal_tells_is_allowed(key: str, value: float, others: dict[str, float]) -> None:
+    for factor in (1.0, 1.1, 1.23, 1.37):  # limits that are rounded one way and the other
+        given = others | {"motor.L_d": 170e-6 * factor, "motor.L_q": 180e-6 * factor, "mechanics.J": 2e-4 * factor}
+        with pytest.raises(ConfigError, match="must be [<>]= ") as caught:
+            load_params(None, given | {key: value})
+        load_params(None, given | {key: float(str(caught.value).split()[4])})
+
+
+@pytest.mark.parametrize(
     ("key", "value", "message"),
     [
         ("motor.R_s", -1, "R_s must be > 0 ohm, got -1 (motor.R_s in overrides)"),

@@ -149,7 +149,7 @@ static void capture(void)
     if (hbp_add(&link, &drive, &motor_config, 1)) return;
     hbp_tick(&drive, &sample);
     for (unsigned k = 0; k < 3000; k++) COUNT(hbp_tick(&drive, &sample));
-    report("hbp_tick, a capture of 8 channels that waits for a fault");
+    report("hbp_tick, a capture of 4 channels that waits for a fault");
     memcpy(arm + 22, channels, sizeof channels);
     arm[2] = arm[3] = 0xFF; /* a record in so many periods, for now */
     measure("hbp_rx: CAPTURE_ARM of 8 channels and its reply", HBP_TYPE_CAPTURE_ARM, arm, sizeof arm);
