@@ -1,20 +1,19 @@
-"""The rotor's angle and flux without a sensor of position, by the voltage behind R and L_q at speed.
+"""The flux without a sensor of position, by the voltage behind R and L_q at speed.
 
 What is left of the voltage when R i and L_q di/dt are taken from it turns with the rotor whatever L_d is: its size is
 the speed times psi + (L_d - L_q) i_d, and it is a quarter turn ahead of the flux. Its own phase, a parabola in time
-over some turns, is the angle. A voltage along a d current, of dead time or of a wrong R, turns it one way with +I and
-the other way with -I: the mean of both is the angle.
+over some turns, is the angle.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from bench.commission.analysis.flux import ALONG_D, FLUX_FLOOR, LEAST_PARTS, SETTLE, STEADY, STEP, ripple_delay
+from bench.commission.analysis.flux import ALONG_D, FLUX_FLOOR, LEAST_PARTS, SETTLE, STEADY, STEP
 from bench.commission.analysis.stretches import merged, parts
 from bench.commission.least_squares import fit
 from bench.commission.quantity import Quantity
@@ -34,12 +33,6 @@ TURNS = 0.8
 class Rotation:
     """A part of a window in which the rotor turned, by its back-EMF."""
 
-    first: float
-    """PWM period of the middle of the part,"""
-    half: float
-    """and periods from there to its ends."""
-    phase: Floats
-    """rad, the coefficients of the phase's parabola, highest first, over -1 to 1."""
     w: float
     """rad/s, electrical, in the mean; below 0 in reverse."""
     shrink: float
@@ -48,32 +41,12 @@ class Rotation:
     """V, of the voltage along its phase."""
     i: complex
     """A: i_d + j i_q in the mean, by that phase."""
-    ahead: float
-    """rad per rad/s, by which that phase is ahead of the rotor."""
     along: bool
     """Whether the current was commanded along the flux; else against it."""
 
-    def theta(self, index: Floats) -> Floats:
-        """rad, electrical, not wrapped: of the rotor flux at these PWM periods."""
-        phase = np.polyval(self.phase, (index - self.first) / self.half)
-        return np.asarray(phase - math.copysign(0.5 * math.pi, self.w) - self.ahead * self.w)
 
-    def speed(self, index: Floats) -> Floats:
-        """rad/s per s of PWM period counted as one: rad a PWM period at these."""
-        slope = np.polyval(np.polyder(self.phase), (index - self.first) / self.half) / self.half
-        return np.asarray(slope)
-
-    def holds(self, index: Floats) -> Floats:
-        """Which of these PWM periods lie within the part."""
-        return np.asarray(np.abs(index - self.first) <= self.half)
-
-
-def rotations(windows: Sequence[Window], R: float, L_q: float, dead_time: float = 0.0) -> Iterator[Rotation]:
-    """The parts of windows of the kinds "d+" and "d-" in which a clear voltage turned; ohm and H.
-
-    `dead_time`: V that it takes of a phase and that the drive does not put back; in the mean of a turn it takes 4 / pi
-    times that along the current.
-    """
+def rotations(windows: Sequence[Window], R: float, L_q: float) -> Iterator[Rotation]:
+    """The parts of windows of the kinds "d+" and "d-" in which a clear voltage turned; ohm and H."""
     for window in merged(windows):
         if window.kind not in ALONG_D:
             continue
@@ -82,16 +55,15 @@ def rotations(windows: Sequence[Window], R: float, L_q: float, dead_time: float 
         if len(current) < 3:
             continue
         middle = 0.5 * (current[1:] + current[:-1])
-        taken = 4.0 / math.pi * dead_time * middle / np.maximum(np.abs(middle), 1e-9)
-        v = u[1:] - R * middle - taken - L_q * np.diff(current) / window.T
+        v = u[1:] - R * middle - L_q * np.diff(current) / window.T
         phase = unwrapped(np.angle(v))
         for part in parts(phase, window.T):
-            found = _rotation(v[part], middle[part], phase[part], window, window.index[0] + begin + part.start)
+            found = _rotation(v[part], middle[part], phase[part], window)
             if found is not None:
-                yield replace(found, ahead=ripple_delay(R, L_q, window.T))
+                yield found
 
 
-def _rotation(v: Complexes, i: Complexes, phase: Floats, window: Window, at: float) -> Rotation | None:
+def _rotation(v: Complexes, i: Complexes, phase: Floats, window: Window) -> Rotation | None:
     n = len(v)
     if abs(phase[-1] - phase[0]) < TURNS * math.tau:
         return None
@@ -103,27 +75,22 @@ def _rotation(v: Complexes, i: Complexes, phase: Floats, window: Window, at: flo
     mean = along.mean()
     if mean.real < CLEAR * math.sqrt(float(np.mean(np.abs(v) ** 2))):
         return None
-    half = 0.5 * (n - 1)
-    w = float(curve[1]) / (half * window.T)
+    w = float(curve[1]) / (0.5 * (n - 1) * window.T)
     frame = np.exp(-1j * (np.polyval(curve, x) - math.copysign(0.5 * math.pi, w)))
     i_dq = i * frame
     if abs(i_dq[: n // 2].mean() - i_dq[n // 2 :].mean()) > STEADY * abs(window.i_ref):
         return None
     shrink = float(np.sinc(0.5 * w * window.T / math.pi))
-    middle = at + 0.5 + half  # the first voltage lies between the samples `at` and `at` + 1
-    return Rotation(middle, half, curve, w, shrink, float(mean.real), complex(i_dq.mean()), 0.0, window.kind == "d+")
+    return Rotation(w, shrink, float(mean.real), complex(i_dq.mean()), window.kind == "d+")
 
 
-def flux_by_back_emf(
-    windows: Sequence[Window], R: Quantity, L_q: Quantity, late: Quantity = UNKNOWN_LATE, dead_time: float = 0.0
-) -> Quantity:
+def flux_by_back_emf(windows: Sequence[Window], R: Quantity, L_q: Quantity, late: Quantity = UNKNOWN_LATE) -> Quantity:
     """Psi, V s, of windows of the kinds "d+" and "d-" at speed, without a sensor of position.
 
-    `late`, s: by which currents are sampled late, which nothing tells here; R late / L_q of psi hangs on it.
-    `dead_time`: V that it takes of a phase and that the drive does not put back. Refused where a clear voltage turned
-    in too few of them.
+    `late`, s: by which currents are sampled late, which nothing tells here; R late / L_q of psi hangs on it. Refused
+    where a clear voltage turned in too few of them.
     """
-    found = list(rotations(windows, R.value, L_q.value, dead_time))
+    found = list(rotations(windows, R.value, L_q.value))
     if found:
         fastest = max(abs(each.w) for each in found)
         found = [each for each in found if abs(each.w) > 0.2 * fastest]

@@ -1,4 +1,4 @@
-"""Where the Hall edges lie, both ways, and how late they are seen: by the encoder at speed, else by the back-EMF.
+"""Where the Hall edges lie, both ways, and how late they are seen: by the encoder at speed.
 
 By the encoder each edge of a turn of the shaft has its own place, and a delay shows in how edges move with the speed
 (`bench.signal.edge_fit`). Angles are of the rotor flux: the encoder's less what it is ahead by.
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.commission.analysis.back_emf import rotations
 from bench.commission.analysis.flux import Flux
 from bench.commission.analysis.stretches import merged
 from bench.commission.quantity import Quantity
@@ -21,24 +20,20 @@ from bench.commission.window import Floats, Window
 from bench.signal import hall_inputs
 from bench.signal.edge_fit import EdgeFit, fitted
 from bench.signal.hall_edges import mean_angle
-from bench.signal.position import unwrapped, wrap, wrapped
+from bench.signal.position import unwrapped, wrapped
 from bench.signal.trace import Edges
-from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS, edge_passages
+from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS
 
 STEP = "edges"
 DELAY_FLOOR = 4e-7
 """s, sd, of the delay of the sensors: where each edge of the turn was passed a few times only, `edge_fit` takes a part
 of the delay for what pole pairs add, up to 0.6 us of synthetic benches that coast for 0.4 s."""
-BLIND_FLOOR = math.radians(0.15)
-"""rad, sd, of an edge by the back-EMF: in the trial 0.10 deg in the median, 0.31 at worst."""
 PAIRS_FLOOR = math.radians(0.3)
 """rad, sd, of an edge of one pole pair against their mean, where they could not be told apart."""
 SLOPE = 8e-3
 """s on either side of an edge over which its speed is taken."""
 TICKS = 4096
 """Steps of a PWM period in which the time of an edge is counted here."""
-LEAST_PASSAGES = 3
-"""Of each edge in each direction, by the back-EMF of each sign of the current."""
 
 
 @dataclass(frozen=True)
@@ -50,17 +45,8 @@ class HallEdges:
     up: tuple[Quantity, ...]
     """`edge_up_1` to `edge_up_6`, at standstill."""
     down: tuple[Quantity, ...]
-    delay: Quantity
-    """s, name `hall_delay`: by which edges are seen late, against currents and voltages."""
-    jitter: float
-    """rad rms of single passages; NaN where it was not told."""
-    passages: int
-    aside: int
-    """Passages that were far from all others, and not used."""
-
-    def parameters(self) -> dict[str, float]:
-        """By the names of the drive's parameters."""
-        return {each.name: each.value for each in (self.ring, *self.up, *self.down)}
+    delay: Quantity | None = None
+    """s, name `hall_delay`: by which edges are seen late, against currents and voltages; None where it is not told."""
 
 
 def quantities(
@@ -82,14 +68,12 @@ def hall_edges(
     found: Flux,
     n_p: int,
     counts: int = 0,
-    ring: float | None = None,
     step: float = 0.0,
 ) -> HallEdges:
     """The edges of windows with an encoder, in the order of time, at any speeds and currents.
 
-    `counts`: of the encoder in a turn, below 0 where it counts down, 0 where they are not known; `ring`: the
-    `hall_offset` that the drive is to have, rad, None for that which is found; `step`: s between the times that edges
-    can have. Refused for too few edges, codes that run backwards, and for one speed.
+    `counts`: of the encoder in a turn, below 0 where it counts down, 0 where they are not known; `step`: s between
+    the times that edges can have. Refused for too few edges, codes that run backwards, and for one speed.
     """
     edges, tick_hz = _edges(windows, found, n_p, counts)
     if len(edges.tick) < 2 * SECTORS:
@@ -116,7 +100,7 @@ def hall_edges(
     }
     up, down = quantities(
         {"up": (fit.place + half).tolist(), "down": (fit.place - half).tolist()},
-        sits if ring is None else ring,
+        sits,
         [{"noise": float(sd), **shared} for sd in noise],
     )
     delay = Quantity(
@@ -125,16 +109,7 @@ def hall_edges(
          "encoder's counts": by_count / max(fit.fastest - fit.slowest, 1e-9), "method": DELAY_FLOOR},
     )  # fmt: skip
     of_ring = float(fit.sd(np.full((1, SECTORS), 1.0 / SECTORS))[0])
-    jitter = float(np.sqrt(np.nanmean(fit.jitter**2)))
-    return HallEdges(
-        Quantity("hall_offset", "rad", sits, {"noise": of_ring, **shared}),
-        up,
-        down,
-        delay,
-        jitter,
-        fit.passages,
-        fit.aside,
-    )
+    return HallEdges(Quantity("hall_offset", "rad", sits, {"noise": of_ring, **shared}), up, down, delay)
 
 
 def _by_count(omega: Floats, pwm_hz: float, n_p: int, counts: int) -> float:
@@ -197,60 +172,3 @@ def _pole_pair(angle: Floats, count: Floats, n_p: int, counts: int) -> int:
     off = angle - n_p * math.tau * count / counts
     turns = np.round((off - mean_angle(off)) / math.tau).astype(np.int64) % n_p
     return int(np.argmax(np.bincount(turns)))
-
-
-def edges_by_back_emf(
-    windows: Sequence[Window], R: Quantity, L_q: Quantity, delay: Quantity, ring: float | None = None
-) -> HallEdges:
-    """The edges of windows of the kinds "d+" and "d-" at speed, without an encoder; pole pairs are not told apart.
-
-    `delay`, s: by which edges are seen late against currents and voltages, which nothing tells here. Refused where an
-    edge was passed too seldom with either sign of the current.
-    """
-    found: dict[tuple[int, int, bool], list[tuple[float, int]]] = {}
-    speeds, passages = [], 0
-    by_period = [(w, rotation) for w in merged(windows) for rotation in rotations([w], R.value, L_q.value)]
-    for window, rotation in by_period:
-        inside = rotation.holds(window.edges.index)
-        at = window.edges.index[inside]
-        edge, way = edge_passages(window.edges.old[inside] & 7, window.edges.new[inside] & 7)
-        theta = rotation.theta(at) - delay.value * rotation.speed(at) / window.T
-        off = wrap(theta - SECTOR_WIDTH * edge)
-        speeds.append(abs(rotation.w))
-        forward = 1 if rotation.w > 0.0 else -1
-        for sector in range(SECTORS):
-            own = off[(edge == sector) & (way == forward)]
-            if len(own):
-                passages += len(own)
-                found.setdefault((sector, forward, rotation.along), []).append((mean_angle(own), len(own)))
-    places: dict[str, list[float]] = {"up": [], "down": []}
-    noise = []
-    for name, forward in (("up", 1), ("down", -1)):
-        for sector in range(SECTORS):
-            means, errors = zip(
-                *(_mean(found.get((sector, forward, along), [])) for along in (True, False)), strict=True
-            )
-            if not np.isfinite(means).all():
-                raise Refused(
-                    STEP,
-                    f"the edge of sector {sector + 1} was passed {'forward' if forward > 0 else 'in reverse'} in "
-                    f"fewer than {LEAST_PASSAGES} parts of one sign of the current: turn it longer at speed, both ways",
-                )
-            places[name].append(sector * SECTOR_WIDTH + mean_angle(np.array(means)))
-            noise.append(0.5 * math.hypot(*errors))
-    late = float(np.mean(speeds)) * delay.sd
-    every = np.array(places["up"] + places["down"]) - SECTOR_WIDTH * np.tile(np.arange(SECTORS), 2)
-    sits = mean_angle(every)
-    parts = [{"noise": sd, "delay": late, "method": BLIND_FLOOR} for sd in noise]
-    up, down = quantities(places, sits if ring is None else ring, parts)
-    of_ring = {"noise": float(np.mean(noise)) / math.sqrt(len(noise)), "method": BLIND_FLOOR}
-    return HallEdges(Quantity("hall_offset", "rad", sits, of_ring), up, down, delay, math.nan, passages, 0)
-
-
-def _mean(parts: Sequence[tuple[float, int]]) -> tuple[float, float]:
-    """Mean angle of the means of parts, and its standard error by how these scatter; NaN for too few."""
-    if len(parts) < LEAST_PASSAGES:
-        return math.nan, math.nan
-    angles = np.array([angle for angle, _ in parts])
-    mean = mean_angle(angles)
-    return mean, float(np.std(wrap(angles - mean), ddof=1)) / math.sqrt(len(angles))
