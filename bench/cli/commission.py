@@ -133,19 +133,16 @@ def _evidence(report: Path) -> dict[str, Path]:
 def _print(done: Commissioned) -> None:
     from bench.cli.output import table
 
-    rows = [_row(quantity, done) for quantity in done.found.values() if quantity.name in _TITLES]
-    rough = {"R_rough": "R_s", "L_rough": "L_d"}
-    names = [name for name in done.found if name in _TITLES]
-    shown = [row for name, row in zip(names, rows, strict=True) if rough.get(name) not in done.found]
+    found, rough = done.found, {"R_rough": "R_s", "L_rough": "L_d"}
+    shown = [_row(q) for name, q in found.items() if name in _TITLES and rough.get(name) not in found]
     echo(f"{done.drive.title}, up to {done.i_max:g} A, {done.seconds:.0f} s of drive time")
     table(["quantity", "value", "95 %, drive's units", "mostly", "95 %, absolute", "mostly"], shown)
 
 
-def _row(quantity: Quantity, done: Commissioned) -> list[str]:
-    absolute = quantity.absolute_half_width(done.converters)
+def _row(quantity: Quantity) -> list[str]:
     return [
         _TITLES[quantity.name], _told(quantity.value, quantity.unit), _width(quantity, quantity.half_width),
-        quantity.dominated_by, _width(quantity, absolute), quantity.absolutely_dominated_by(done.converters),
+        quantity.dominated_by, _width(quantity, quantity.absolute_half_width()), quantity.absolutely_dominated_by(),
     ]  # fmt: skip
 
 

@@ -10,9 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bench.commission.outcome import Outcome
+from bench.commission.outcome import Outcome, found_by
 from bench.commission.parameters import toml
-from bench.commission.quantity import Converters, Quantity
+from bench.commission.quantity import USUAL, Quantity
 from bench.commission.refusal import Refused
 from bench.commission.sequence import Step, chosen
 from bench.commission.stand import NEED, Stand, channels
@@ -52,7 +52,6 @@ class Options:
     yes: bool = False
     config: Path | None = None
     operator: str = ""
-    converters: Converters = field(default_factory=Converters)
 
 
 @dataclass
@@ -61,7 +60,6 @@ class Commissioned:
 
     drive: Parameters
     """The drive's parameters before."""
-    converters: Converters
     i_max: float
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
@@ -72,7 +70,7 @@ class Commissioned:
     @property
     def found(self) -> dict[str, Quantity]:
         """All quantities by name."""
-        return {quantity.name: quantity for outcome in self.outcomes.values() for quantity in outcome.quantities}
+        return found_by(self.outcomes.values())
 
     @property
     def settings(self) -> dict[str, float]:
@@ -91,7 +89,7 @@ class Commissioned:
 
     def as_toml(self) -> tuple[str, list[str]]:
         """See `bench.commission.parameters.toml`."""
-        return toml(self.found, self.settings, self.drive, self.converters)
+        return toml(self.found, self.settings, self.drive)
 
     def as_json(self) -> dict[str, Any]:
         """Plain data, SI units."""
@@ -99,13 +97,13 @@ class Commissioned:
             "drive": dict(self.drive.identity),
             "current": self.i_max,
             "seconds": self.seconds,
-            "converters": {"volts": self.converters.volts, "amperes": self.converters.amperes},
+            "converters": {"volts": USUAL.volts, "amperes": USUAL.amperes},
             "quantities": {
                 name: {
                     "value": q.value, "unit": q.unit, "parts": dict(q.parts),
                     "half_width": q.half_width, "dominated_by": q.dominated_by,
-                    "absolute_half_width": q.absolute_half_width(self.converters),
-                    "absolutely_dominated_by": q.absolutely_dominated_by(self.converters),
+                    "absolute_half_width": q.absolute_half_width(),
+                    "absolutely_dominated_by": q.absolutely_dominated_by(),
                 }
                 for name, q in self.found.items()
             },
@@ -142,23 +140,21 @@ def commission(
         check_limits(node, envelope)
         rig.require_rest()
         i_max = _agreed_current(rig, options)
-        rig.drive.envelope = agreed_to = replace(
-            envelope, current=i_max, rpm=_agreed_rpm(rig, steps, envelope, options)
-        )
+        rig.drive.envelope = agreed_to = replace(envelope, current=i_max, rpm=_agreed_rpm(rig, steps, envelope))
         agreed = options.yes or bool(node.identity.features & Feature.SIMULATED)
         said = {step: f"{step.name}: {step.announcement(agreed_to)}" for step in steps}
         if energising := [step for step in steps if step.energises]:
             for step in () if agreed else energising:
                 screen.note(f"will do {said[step]}")
             require_consent(node, options.target, rig.drive.envelope, options.yes, confirm)
-        done = Commissioned(of_node(node, options.target), options.converters, i_max)
+        done = Commissioned(of_node(node, options.target), i_max)
         recording = Recording(_in(options.report, RUN_NAME), {"test": "commission"}, overwrite=options.overwrite)
         rig.prepare([channels(rig)], recording, held=True, full=True)
         began = rig.tick()
         stand = Stand(rig, i_max)
         missing: set[str] = set()
         for step in steps:
-            if missing & set(step.needs) or rig.drive.faults:
+            if missing & set(step.needs) or rig.drive.faults or rig.drive.ran_away:
                 missing.add(step.name)
                 continue
             screen.note(said[step])
@@ -194,7 +190,7 @@ def _announced_rpm(steps: Sequence[Step], options: Options) -> float:
     return math.inf if any(step.spins for step in steps) else slow
 
 
-def _agreed_rpm(rig: Rig, steps: Sequence[Step], envelope: Envelope, options: Options) -> float:
+def _agreed_rpm(rig: Rig, steps: Sequence[Step], envelope: Envelope) -> float:
     """r/min: what was asked for, or of a simulated drive its limit. BenchError where nobody has named it."""
     node = rig.drive.node
     own = node.parameter("omega_m_max").value / RPM if node.has_parameter("omega_m_max") else math.inf

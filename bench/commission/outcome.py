@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -65,7 +65,9 @@ class Outcome:
 
     def __getitem__(self, name: str) -> Quantity:
         """The quantity of this name; KeyError where the step has not found it."""
-        for quantity in self.quantities:
-            if quantity.name == name:
-                return quantity
-        raise KeyError(name)
+        return found_by([self])[name]
+
+
+def found_by(outcomes: Iterable[Outcome]) -> dict[str, Quantity]:
+    """All quantities by name; of several that are alike the last one."""
+    return {quantity.name: quantity for outcome in outcomes for quantity in outcome.quantities}

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from bench.commission.quantity import COVERAGE, Converters, Quantity
+from bench.commission.quantity import Quantity
 from bench.param import dump, history
 from bench.param.table import Parameters
 
 REASON = "found by bench commission"
-
-
 SAME = {"R_s": "R_s_hat", "t_dead": "dead_time_hat", "psi_f": "psi_f_hat", "J": "J_hat"}
 """Parameters that are a quantity as it was found, by its name."""
 NAMED_ALIKE = (
@@ -31,9 +29,7 @@ def parameters_of(found: Mapping[str, Quantity]) -> dict[str, Quantity]:
     return told
 
 
-def toml(
-    found: Mapping[str, Quantity], settings: Mapping[str, float], of: Parameters, converters: Converters
-) -> tuple[str, list[str]]:
+def toml(found: Mapping[str, Quantity], settings: Mapping[str, float], of: Parameters) -> tuple[str, list[str]]:
     """A dump of what was found and of `settings`, which follow from it, and what the drive does not take, in words.
 
     `of`: the drive's parameters, which tell names, ranges and meanings.
@@ -51,17 +47,16 @@ def toml(
         if not lo <= value <= hi:
             left.append(f"{name} = {value:.4g} {entry.unit} is beyond the drive's range, {lo:g} to {hi:g}")
             continue
-        known = f"95 %: {interval(measured[name], converters)}" if name in measured else "by what was found"
+        known = f"95 %: {interval(measured[name])}" if name in measured else "by what was found"
         entries[name] = replace(entry, value=value, meaning=known)
     told = Parameters(of.title, entries, of.identity)
     return dump.text(told, history.now(), history.who(), REASON), left
 
 
-def interval(quantity: Quantity, converters: Converters) -> str:
+def interval(quantity: Quantity) -> str:
     """Both intervals in words, for a comment."""
-    absolute = COVERAGE * quantity.absolute(converters)
     by = quantity.dominated_by
     return (
         f"+- {quantity.half_width:.2g} in the drive's own volts and amperes{f', mostly {by}' if by else ''}; "
-        f"+- {absolute:.2g} absolute"
+        f"+- {quantity.absolute_half_width():.2g} absolute"
     )

@@ -17,10 +17,7 @@ COVERAGE = 1.959963984540054
 
 @dataclass(frozen=True)
 class Converters:
-    """Standard deviations of the gains of a drive's converters, relative.
-
-    By the drive's maker, or narrower once somebody has read a multimeter.
-    """
+    """Standard deviations of the gains of a drive's converters, relative."""
 
     volts: float = 0.005
     """Of the measurement of the DC link."""
@@ -31,6 +28,10 @@ class Converters:
     def common_amperes(self) -> float:
         """Of the mean of the three phases: what the magnitude of a current vector has."""
         return self.amperes / math.sqrt(3.0)
+
+
+USUAL = Converters()
+"""What is assumed of a drive whose maker tells nothing."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +59,11 @@ class Quantity:
         """Of the 95 % interval in the drive's units."""
         return COVERAGE * self.sd
 
-    def absolute(self, converters: Converters) -> float:
+    def absolute(self, converters: Converters = USUAL) -> float:
         """Standard deviation of the value as one in SI units, with the converters' gains."""
         return math.hypot(self.sd, *self._gains(converters).values())
 
-    def absolute_half_width(self, converters: Converters) -> float:
+    def absolute_half_width(self, converters: Converters = USUAL) -> float:
         """Of the 95 % interval in SI units."""
         return COVERAGE * self.absolute(converters)
 
@@ -77,7 +78,7 @@ class Quantity:
         """The largest part in the drive's units; empty where there is none."""
         return _largest(self.parts)
 
-    def absolutely_dominated_by(self, converters: Converters) -> str:
+    def absolutely_dominated_by(self, converters: Converters = USUAL) -> str:
         """The largest part of the absolute interval, gains among them."""
         return _largest({**self.parts, **self._gains(converters)})
 

@@ -24,11 +24,16 @@ class Step:
     energises: bool
     announcement: Callable[[Envelope], str]
     """Of what was agreed to."""
-    perform: Callable[[Stand], Outcome]
+    measure: Callable[[Stand], Outcome]
     turns: bool = False
     """Whether it turns the shaft."""
     spins: bool = False
     """Whether it does so as fast as was agreed to."""
+
+    def perform(self, stand: Stand) -> Outcome:
+        """Take it, and keep for the next ones what it has found. Raises Refused."""
+        stand.outcomes[self.name] = outcome = self.measure(stand)
+        return outcome
 
 
 STEPS = (

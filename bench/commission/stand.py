@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bench.commission.analysis.dragged import Dragged
 from bench.commission.analysis.hall_order import HallOrder
-from bench.commission.outcome import Outcome
+from bench.commission.gains import Limits
+from bench.commission.outcome import Outcome, found_by
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.window import Edges, Floats, Wave, Window
@@ -25,6 +26,7 @@ from bench.rig.drive import DriveTripped
 from bench.rig.needs import offers
 from bench.rig.rig import Rig
 from bench.signal.capture import Capture
+from bench.signal.position import unwrapped
 from bench.signal.units import RPM
 from protocol.descriptor import Channel
 from protocol.signals import Status
@@ -36,10 +38,12 @@ TRIP = 1.6
 """Times the agreed current at which the drive itself trips meanwhile."""
 BEYOND = 1.15
 """Times the agreed current above which a window ends the step."""
+STOP_LOOK, LONGEST_STOP = 0.05, 20.0
+"""s of a look at a shaft that is to come to rest, and for which it is waited for at most."""
+STILL = 0.1
+"""rad, electrical, by which the encoder of a shaft that rests may move in a look."""
 FASTEST_TURN = math.tau
 """rad/s with which the made angle moves at rest."""
-FASTEST_LOOP = 800.0
-"""Hz of the current loop while the shaft turns, at most."""
 COOLING = np.array([math.inf, 60.0, 30.0, 15.0, 8.0, 4.0])
 """s: times with which a winding may cool; which it is, the measurement of R tells."""
 GENTLE = {"bw_current": 0.0, "R_s_hat": 0.0, "L_s_hat": 0.0, "psi_f_hat": 0.0, "dead_time_comp": 0.0}
@@ -85,8 +89,8 @@ class Stand:
         """A, of the three current sensors."""
         self.gains: Floats = np.ones(3)
         """Of the three current sensors, beside their mean."""
-        self.noise = 0.0
-        """A, standard deviation of a sample of one sensor."""
+        self.noise = math.inf
+        """A, standard deviation of a sample of one sensor; inf before it is known."""
         self.u_dc = 0.0
         self.R, self.L = math.nan, math.nan
         """Ohm and henry, as well as they are known; nan before the first current."""
@@ -129,20 +133,21 @@ class Stand:
         if offers(node, "encoder"):
             drive.observe("encoder")
 
-    def found(self, name: str) -> Quantity:
-        """What a step has found, the last one that has; KeyError where none has."""
-        for outcome in reversed(self.outcomes.values()):
-            with suppress(KeyError):
-                return outcome[name]
-        raise KeyError(name)
+    @property
+    def found(self) -> dict[str, Quantity]:
+        """What the steps have found, by name."""
+        return found_by(self.outcomes.values())
 
-    def compensate(self) -> None:
-        """Of a drive at rest: its loop by what is known of the winding, the dead time compensated."""
-        bandwidth = self.u_linear / (math.tau * self.L * self.i_max)
+    def compensate(self, L: float, bandwidth: float) -> None:
+        """Of a drive at rest: its loop by R and this L, H, with a bandwidth in Hz, the dead time compensated."""
         self.set(
-            R_s_hat=self.R, L_s_hat=self.L, bw_current=min(FASTEST_LOOP, bandwidth, 0.05 / self.T),
-            dead_time_hat=self.dead_time, dead_time_comp=1.0,
+            R_s_hat=self.R, L_s_hat=L, bw_current=bandwidth, dead_time_hat=self.dead_time, dead_time_comp=1.0,
         )  # fmt: skip
+
+    @property
+    def limits(self) -> Limits:
+        """What the drive works within, for its gains."""
+        return Limits(self.i_max, self.rpm * RPM, self.u_dc, 1.0 / self.T)
 
     @property
     def rpm(self) -> float:
@@ -268,9 +273,17 @@ class Stand:
 
     def _checked(self, window: Window) -> Window:
         most = float(np.abs(window.i).max(initial=0.0))
-        if most > BEYOND * self.i_max + 6.0 * self.noise and self.noise:
+        if most > BEYOND * self.i_max + 6.0 * self.noise:
             raise Refused(self.step, f"{most:.3g} A flowed, and {self.i_max:g} A were agreed to: switched off")
         return window
+
+    def await_rest(self, step: str) -> None:
+        """Of a drive that is off: wait until its shaft, by the encoder, stands still. Refused where it goes on."""
+        for _ in range(round(LONGEST_STOP / STOP_LOOK)):
+            theta = self.look(STOP_LOOK).theta
+            if theta is None or float(np.ptp(unwrapped(theta))) < STILL:
+                return
+        raise Refused(step, f"the shaft still turns after {LONGEST_STOP:g} s with the outputs off: hold what turns it")
 
     def look(self, seconds: float) -> Window:
         """The same as the link carries it, whatever its rate: to see whether a current flows."""

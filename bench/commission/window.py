@@ -14,7 +14,7 @@ Booleans = NDArray[np.bool_]
 
 
 def clarke(i: Floats) -> Complexes:
-    """Current vector i_alpha + j i_beta, amplitude invariant, shape (n,), of three phase currents, shape (3, n)."""
+    """Current vector i_alpha + j i_beta, amplitude invariant, shape (...), of phase currents, shape (3, ...)."""
     return np.asarray((2.0 * i[0] - i[1] - i[2]) / 3.0 + 1j * (i[1] - i[2]) / np.sqrt(3.0))
 
 

@@ -65,7 +65,7 @@ def refusal(key: str, value: object) -> str:
 def test_the_limit_that_a_refusal_tells_is_allowed(key: str, value: float, others: dict[str, float]) -> None:
     for factor in (1.0, 1.1, 1.23, 1.37):  # limits that are rounded one way and the other
         given = others | {"motor.L_d": 170e-6 * factor, "motor.L_q": 180e-6 * factor, "mechanics.J": 2e-4 * factor}
-        with pytest.raises(ConfigError, match="must be [<>]= ") as caught:
+        with pytest.raises(ConfigError, match=r"must be [<>]= ") as caught:
             load_params(None, given | {key: value})
         load_params(None, given | {key: float(str(caught.value).split()[4])})
 

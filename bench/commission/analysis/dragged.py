@@ -104,9 +104,7 @@ def _shaft(windows: Sequence[Window], n_p: int, encoder_zero: float) -> list[tup
     found = []
     for window in merged(windows, by_command=False):
         if window.theta is None:
-            raise Refused(
-                STEP, "there is no encoder's angle: pole pairs cannot be found without one; give them with --pole-pairs"
-            )
+            raise Refused(STEP, "there is no encoder's angle: pole pairs cannot be found without one")
         if len(window) > 1:
             found.append((unwrapped(window.control), (unwrapped(np.asarray(window.theta)) - encoder_zero) / n_p))
     if not found:

@@ -50,17 +50,8 @@ class HallEdges:
     up: tuple[Quantity, ...]
     """`edge_up_1` to `edge_up_6`, at standstill."""
     down: tuple[Quantity, ...]
-    delay: Quantity
-    """s, name `hall_delay`: by which edges are seen late, against currents and voltages."""
-    jitter: float
-    """rad rms of single passages; NaN where it was not told."""
-    passages: int
-    aside: int
-    """Passages that were far from all others, and not used."""
-
-    def parameters(self) -> dict[str, float]:
-        """By the names of the drive's parameters."""
-        return {each.name: each.value for each in (self.ring, *self.up, *self.down)}
+    delay: Quantity | None = None
+    """s, name `hall_delay`: by which edges are seen late, against currents and voltages; None where it is not told."""
 
 
 def quantities(
@@ -82,14 +73,12 @@ def hall_edges(
     found: Flux,
     n_p: int,
     counts: int = 0,
-    ring: float | None = None,
     step: float = 0.0,
 ) -> HallEdges:
     """The edges of windows with an encoder, in the order of time, at any speeds and currents.
 
-    `counts`: of the encoder in a turn, below 0 where it counts down, 0 where they are not known; `ring`: the
-    `hall_offset` that the drive is to have, rad, None for that which is found; `step`: s between the times that edges
-    can have. Refused for too few edges, codes that run backwards, and for one speed.
+    `counts`: of the encoder in a turn, below 0 where it counts down, 0 where they are not known; `step`: s between
+    the times that edges can have. Refused for too few edges, codes that run backwards, and for one speed.
     """
     edges, tick_hz = _edges(windows, found, n_p, counts)
     if len(edges.tick) < 2 * SECTORS:
@@ -116,7 +105,7 @@ def hall_edges(
     }
     up, down = quantities(
         {"up": (fit.place + half).tolist(), "down": (fit.place - half).tolist()},
-        sits if ring is None else ring,
+        sits,
         [{"noise": float(sd), **shared} for sd in noise],
     )
     delay = Quantity(
@@ -125,16 +114,7 @@ def hall_edges(
          "encoder's counts": by_count / max(fit.fastest - fit.slowest, 1e-9), "method": DELAY_FLOOR},
     )  # fmt: skip
     of_ring = float(fit.sd(np.full((1, SECTORS), 1.0 / SECTORS))[0])
-    jitter = float(np.sqrt(np.nanmean(fit.jitter**2)))
-    return HallEdges(
-        Quantity("hall_offset", "rad", sits, {"noise": of_ring, **shared}),
-        up,
-        down,
-        delay,
-        jitter,
-        fit.passages,
-        fit.aside,
-    )
+    return HallEdges(Quantity("hall_offset", "rad", sits, {"noise": of_ring, **shared}), up, down, delay)
 
 
 def _by_count(omega: Floats, pwm_hz: float, n_p: int, counts: int) -> float:
@@ -199,16 +179,14 @@ def _pole_pair(angle: Floats, count: Floats, n_p: int, counts: int) -> int:
     return int(np.argmax(np.bincount(turns)))
 
 
-def edges_by_back_emf(
-    windows: Sequence[Window], R: Quantity, L_q: Quantity, delay: Quantity, ring: float | None = None
-) -> HallEdges:
+def edges_by_back_emf(windows: Sequence[Window], R: Quantity, L_q: Quantity, delay: Quantity) -> HallEdges:
     """The edges of windows of the kinds "d+" and "d-" at speed, without an encoder; pole pairs are not told apart.
 
     `delay`, s: by which edges are seen late against currents and voltages, which nothing tells here. Refused where an
     edge was passed too seldom with either sign of the current.
     """
     found: dict[tuple[int, int, bool], list[tuple[float, int]]] = {}
-    speeds, passages = [], 0
+    speeds = []
     by_period = [(w, rotation) for w in merged(windows) for rotation in rotations([w], R.value, L_q.value)]
     for window, rotation in by_period:
         inside = rotation.holds(window.edges.index)
@@ -221,7 +199,6 @@ def edges_by_back_emf(
         for sector in range(SECTORS):
             own = off[(edge == sector) & (way == forward)]
             if len(own):
-                passages += len(own)
                 found.setdefault((sector, forward, rotation.along), []).append((mean_angle(own), len(own)))
     places: dict[str, list[float]] = {"up": [], "down": []}
     noise = []
@@ -242,9 +219,9 @@ def edges_by_back_emf(
     every = np.array(places["up"] + places["down"]) - SECTOR_WIDTH * np.tile(np.arange(SECTORS), 2)
     sits = mean_angle(every)
     parts = [{"noise": sd, "delay": late, "method": BLIND_FLOOR} for sd in noise]
-    up, down = quantities(places, sits if ring is None else ring, parts)
+    up, down = quantities(places, sits, parts)
     of_ring = {"noise": float(np.mean(noise)) / math.sqrt(len(noise)), "method": BLIND_FLOOR}
-    return HallEdges(Quantity("hall_offset", "rad", sits, of_ring), up, down, delay, math.nan, passages, 0)
+    return HallEdges(Quantity("hall_offset", "rad", sits, of_ring), up, down, delay)
 
 
 def _mean(parts: Sequence[tuple[float, int]]) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from bench.commission.refusal import Refused
 from bench.commission.window import Floats, Integers, Window
 from bench.findings.finding import Finding, degrees, percent
 from bench.findings.sensors import stuck
-from bench.findings.wiring import CONNECT, Wired, hats, ways
+from bench.findings.wiring import CONNECT, Wired, ways
 from bench.signal.edge_fit import OPENS
 from bench.signal.hall_edges import mean_angle
 from bench.signal.hall_inputs import INVERTED
@@ -57,25 +57,10 @@ class HallOrder:
     """The wiring with the least that is not as specified, and where the ring then sits; None where none explains it."""
     others: tuple[Wired, ...]
     """Other wirings that explain the codes as well."""
-    lag: float
-    """rad, electrical: half of what the ways differ by: friction's lag and half of the hysteresis; NaN if not told."""
-    rises: Floats
-    """(3,) rad: where the inputs a, b, c rise to a rotor that turns forward, the mean of both ways; NaN if not told,"""
-    falls: Floats
-    """and fall."""
     edges: HallEdges | None
     """By the wiring; rough."""
     in_order: float
     """Share of the edges that go the way of most."""
-
-    def hats(self, swap: int = 0, inverted: int = 0) -> tuple[float, float]:
-        """`hall_swap_hat` and `hall_invert_hat` that put the wiring right, of a drive that has these two now.
-
-        Refused where no wiring explains the codes.
-        """
-        if self.wired is None:
-            raise Refused(STEP, "no wiring of three sensors explains the codes")
-        return hats(self.wired, swap, inverted)
 
 
 @dataclass(frozen=True)
@@ -86,11 +71,10 @@ class _Changes:
     way: int
 
 
-def hall_order(up: Sequence[Window], down: Sequence[Window], ring: float | None = None) -> HallOrder:
+def hall_order(up: Sequence[Window], down: Sequence[Window]) -> HallOrder:
     """How the sensors are wired, of windows dragged forward and in reverse; no encoder is needed.
 
-    `ring`: the `hall_offset` from which edges are told, rad; None for the one that is found. Refused where no edges
-    came in either direction.
+    Refused where no edges came in either direction.
     """
     seen = [_changes(windows, way) for windows, way in ((up, 1), (down, -1))]
     turns = sum(abs(float(np.ptp(w.control))) for w in _unwrapped([*up, *down])) / math.tau
@@ -105,12 +89,11 @@ def hall_order(up: Sequence[Window], down: Sequence[Window], ring: float | None 
     steps = np.concatenate([each.way * steps_between(each.old ^ mask, each.new ^ mask) for each in seen])
     forward, backward = (float(np.mean(np.sign(steps) == sign)) for sign in (1.0, -1.0))
     order = FORWARD if forward > IN_ORDER else BACKWARD if backward > IN_ORDER else NEITHER
-    rises, falls, lag = np.full(3, math.nan), np.full(3, math.nan), []
+    rises, falls = np.full(3, math.nan), np.full(3, math.nan)
     for k in range(3):
         for places, high in ((rises, True), (falls, False)):
             by_way = [_place(each, k, high) for each in seen]
             places[k] = mean_angle(np.array(by_way)) if np.isfinite(by_way).all() else math.nan
-            lag.append(0.5 * wrapped(by_way[0] - by_way[1]))
     found = []
     if order != NEITHER and np.isfinite([rises, falls]).all():
         undone = np.array([mask >> k & 1 == 1 for k in range(3)])
@@ -118,10 +101,8 @@ def hall_order(up: Sequence[Window], down: Sequence[Window], ring: float | None 
         found = ways(begin + (end - begin) % math.tau / 2.0, mask)
     found.sort(key=lambda w: (w.changes, w.inverted.bit_count(), abs(w.ring)))
     wired = found[0] if found else None
-    edges = _edges(seen, wired, ring, n) if wired is not None else None
-    return HallOrder(
-        order, levels, wired, tuple(found[1:]), float(np.mean(lag)), rises, falls, edges, max(forward, backward)
-    )  # fmt: skip
+    edges = _edges(seen, wired) if wired is not None else None
+    return HallOrder(order, levels, wired, tuple(found[1:]), edges, max(forward, backward))
 
 
 def _unwrapped(windows: Sequence[Window]) -> list[Window]:
@@ -163,7 +144,7 @@ def _place(seen: _Changes, number: int, high: bool) -> float:
     return mean_angle(angles[np.abs(wrap(angles - mean_angle(angles))) < NEAR])
 
 
-def _edges(seen: Sequence[_Changes], wired: Wired, ring: float | None, n: int) -> HallEdges:
+def _edges(seen: Sequence[_Changes], wired: Wired) -> HallEdges:
     """The six edges by the angle of the phases; each way has the mean of both, for friction's lag is not known."""
     places = []
     for sector, (sensor, rises) in enumerate(OPENS):
@@ -172,11 +153,9 @@ def _edges(seen: Sequence[_Changes], wired: Wired, ring: float | None, n: int) -
         both = mean_angle(np.array([_place(each, at, high) for each in seen]))
         places.append(wired.ring + sector * SECTOR_WIDTH + wrapped(both - wired.ring - sector * SECTOR_WIDTH))
     parts = {"method": ROUGH}
-    sits = wired.ring
-    up, down = quantities({"up": places, "down": places}, sits if ring is None else ring, [parts] * (2 * SECTORS))
-    delay = Quantity("hall_delay", "s", 0.0, {"not measured": 1e-5})
+    up, down = quantities({"up": places, "down": places}, wired.ring, [parts] * (2 * SECTORS))
     of_ring = {"method": ROUGH / math.sqrt(SECTORS)}
-    return HallEdges(Quantity("hall_offset", "rad", sits, of_ring), up, down, delay, math.nan, n, 0)
+    return HallEdges(Quantity("hall_offset", "rad", wired.ring, of_ring), up, down)
 
 
 def verdicts(found: HallOrder, direction: int | None = None) -> Iterator[Finding]:

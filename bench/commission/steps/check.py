@@ -64,13 +64,12 @@ def mean_half(window: Window, half: int) -> Floats:
 
 def perform(stand: Stand) -> Outcome:
     """Set the gains, apply the step, and compare."""
-    limits = gains.Limits(stand.i_max, stand.rpm * math.tau / 60.0, stand.u_dc, 1.0 / stand.T)
-    found = {q.name: q for outcome in stand.outcomes.values() for q in outcome.quantities}
-    turned = stand.turned.dragged if stand.turned is not None else None
-    settings = gains.settings(found, None if turned is None else turned.n_p, limits)
-    R, L = found["R_s"].value, found["L_d_half"].value
-    bandwidth = settings["bw_current"]
-    stand.set(R_s_hat=R, L_s_hat=L, bw_current=bandwidth, dead_time_hat=stand.dead_time, dead_time_comp=1.0)
+    if stand.turned is not None:
+        stand.await_rest(STEP)
+    found, turned = stand.found, stand.turned.dragged if stand.turned is not None else None
+    settings = gains.settings(found, None if turned is None else turned.n_p, stand.limits)
+    R, L, bandwidth = stand.R, found["L_d_half"].value, settings["bw_current"]
+    stand.compensate(L, bandwidth)
     half = max(round(CONSTANTS / (math.tau * bandwidth) / stand.T), 8)
     amplitude = AMPLITUDE * stand.i_max
     with stand.running(STEP):
@@ -106,11 +105,8 @@ def perform(stand: Stand) -> Outcome:
         Quantity("step_misfit", "1", misfit, {"noise": noise}), Quantity("overshoot", "1", overshoot, {"noise": noise}),
     )  # fmt: skip
     figures = {"bw_current": bandwidth, "misfit": misfit, "overshoot": overshoot}
-    outcome = Outcome(
-        quantities, Evidence("A step of the d current against the model", panels, figures), remarks, settings=settings
-    )
-    stand.outcomes[STEP] = outcome
-    return outcome
+    evidence = Evidence("A step of the d current against the model", panels, figures)
+    return Outcome(quantities, evidence, remarks, settings=settings)
 
 
 def announcement(agreed: Envelope) -> str:

@@ -17,7 +17,7 @@ from bench.commission.outcome import Evidence, Outcome, Panel
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.stand import Stand
-from bench.commission.window import Floats, Window
+from bench.commission.window import Floats, Window, clarke
 from bench.rig.envelope import Envelope
 
 STEP = "first-current"
@@ -60,10 +60,7 @@ class Level:
     @property
     def vector(self) -> complex:
         """A, in the frame of the angle."""
-        a, b, c = self.i
-        return complex((2 * a - b - c) / 3, (b - c) / math.sqrt(3)) * complex(
-            math.cos(self.angle), -math.sin(self.angle)
-        )
+        return complex(clarke(self.i) * np.exp(-1j * self.angle))
 
 
 def level(window: Window, angle: float, u: float) -> Level:

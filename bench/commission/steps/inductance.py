@@ -86,8 +86,6 @@ class Inductances:
     L_d: float
     """H, incremental at the middle current."""
     L_q: float
-    rocking: float
-    """1/(H s2): K, as fitted or given."""
     outcome: Outcome
 
 
@@ -241,7 +239,7 @@ def analyse(
     )
     quantities = (d.zero, q.zero, d.middle, q.middle)
     evidence = Evidence("Inductances over the current", panels, figures)
-    return Inductances(d.middle.value, q.middle.value, q.rocking, Outcome(quantities, evidence))
+    return Inductances(d.middle.value, q.middle.value, Outcome(quantities, evidence))
 
 
 def perform(stand: Stand) -> Outcome:
@@ -266,7 +264,7 @@ def perform(stand: Stand) -> Outcome:
     found = analyse(waves, stand.R, stand.gains, stand.i_max, stand.noise)
     stand.L = 0.5 * (found.L_d + found.L_q)
     stand.set(L_s_hat=stand.L)
-    stand.waves, stand.outcomes[STEP] = tuple(waves), found.outcome
+    stand.waves = tuple(waves)
     return found.outcome
 
 

@@ -265,7 +265,6 @@ def perform(stand: Stand) -> Outcome:
     found = analyse(held, stand.i_max, stand.noise)
     stand.R, stand.gains, stand.dead_time = found.R, found.gains, found.dead_time
     stand.set(R_s_hat=found.R)
-    stand.outcomes[STEP] = found.outcome
     return found.outcome
 
 

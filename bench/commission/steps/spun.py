@@ -77,7 +77,6 @@ def perform(stand: Stand) -> Outcome:
             "seconds": sum(window.seconds for window in windows),
         }), refused=tuple(found.refused),
     )  # fmt: skip
-    stand.outcomes[STEP] = outcome
     stand.set(encoder_zero=found.flux.zero.value)
     return outcome
 
@@ -88,7 +87,7 @@ def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
     assert turned is not None
     assert turned.dragged is not None
     dragged, n_p = turned.dragged, made.n_p
-    R, L_q = stand.found("R_s"), stand.found("L_q")
+    R, L_q = stand.found["R_s"], stand.found["L_q"]
     found = Spun(flux(windows, R, L_q, dragged.zero.value))
     moved = wrapped(found.flux.zero.value - dragged.zero.value)
     if abs(moved) > max(SLIPPED, SURE * dragged.zero.sd):

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from bench.commission import gains
 from bench.commission.analysis import dragged, hall_order
 from bench.commission.analysis.dragged import Dragged
 from bench.commission.analysis.hall_order import HallOrder
@@ -28,6 +29,8 @@ from bench.signal.units import RPM
 STEP = "turn"
 SHARE = 0.5
 """Of the agreed current, that drags the rotor."""
+FASTEST_LOOP = 800.0
+"""Hz of the current loop while the shaft turns, at most."""
 SPEED = 3.0 * math.tau
 """rad/s, electrical, of the angle that drags it; with one pole pair the shaft is as fast."""
 MARGIN = 0.95
@@ -55,7 +58,7 @@ SHOWN = 1500
 def perform(stand: Stand) -> Outcome:
     """Turn it, and tell the drive what pole pairs and encoder are."""
     stand.require_every_period(STEP)
-    stand.compensate()
+    stand.compensate(stand.L, min(FASTEST_LOOP, gains.bandwidth(stand.L, stand.limits)))
     stand.set(n_p=1.0, encoder_zero=0.0, encoder_reverse=0.0)
     current = SHARE * stand.i_max
     with stand.running(STEP):
@@ -66,7 +69,6 @@ def perform(stand: Stand) -> Outcome:
         stand.wait(0.02)
     lines = int(stand.rig.drive.parameters.get("encoder_lines", 0))
     outcome, stand.turned = analyse(up, down, lines, current, stand.i_max)
-    stand.outcomes[STEP] = outcome
     found = stand.turned.dragged
     if found is not None:
         if found.direction < 0 and not stand.rig.drive.node.has_parameter("encoder_reverse"):

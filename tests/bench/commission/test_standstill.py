@@ -251,7 +251,7 @@ def test_k_that_is_known_is_taken_as_it_is() -> None:
     made = waves(R, i_max, {"u_d": L, "u_q": L}, K=K)
     known = inductance.analyse(made, R, np.ones(3), i_max, 0.0, (K, 0.02 * K))
     guessed = inductance.analyse(made, R, np.ones(3), i_max, 0.0)
-    assert guessed.rocking == pytest.approx(K, rel=0.3)
+    assert guessed.outcome.evidence.figures["rocking"] == pytest.approx(K, rel=0.3)
     assert known.outcome["L_q"].value == pytest.approx(L, rel=2e-3)
     assert known.outcome["L_q"].sd < guessed.outcome["L_q"].sd
     held = inductance.analyse(made, R, np.ones(3), i_max, 0.0, (0.0, 0.0))

@@ -16,7 +16,9 @@ CAPTURE_RAM = 512  # more for captures, beside their memory
 INTERRUPT = 400  # instructions of hbp_tick with 8 channels, the first one of a stream included
 NOTHING_ARMED = 47  # of hbp_tick without streams and captures
 ARMED = 40  # more while a capture waits, but for copying
-COPYING = 59  # of the 8 channels in cost.c: two runs at 17, three words and two bytes at 5; of the first 4 two words less
+COPYING = (
+    59  # of the 8 channels in cost.c: two runs at 17, three words and two bytes at 5; of the first 4 two words less
+)
 ROUND = 7  # more in the period in which the ring of records begins anew
 EDGE = 120  # of hbp_edge while a capture waits
 MEANS = 500  # of hbp_tick with means of 8 channels of whole numbers,
