@@ -88,7 +88,7 @@ def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
     assert turned.dragged is not None
     dragged, n_p = turned.dragged, made.n_p
     R, L_q = stand.found["R_s"], stand.found["L_q"]
-    found = Spun(flux(windows, R, L_q, dragged.zero.value))
+    found = Spun(flux(windows, R, L_q, dragged.zero.value, stand.found["U_dead"].value))
     moved = wrapped(found.flux.zero.value - dragged.zero.value)
     if abs(moved) > max(SLIPPED, SURE * dragged.zero.sd):
         raise Refused(
@@ -96,7 +96,8 @@ def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
             "encoder slips on the shaft, or loses counts"
         )  # fmt: skip
     try:
-        found.motion = mechanics(windows, found.flux, R, L_q, n_p)
+        falls = (1.0 - stand.found["L_q_half"].value / L_q.value) / (inductance.MIDDLE * stand.i_max)
+        found.motion = mechanics(windows, found.flux, R, L_q, n_p, falls)
         found.flux = found.motion.flux
         found.refused += found.motion.refused
     except Refused as refused:
