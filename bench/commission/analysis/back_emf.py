@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.commission.analysis.flux import ALONG_D, FLUX_FLOOR, LEAST_PARTS, SETTLE, STEADY, STEP, ripple_delay
+from bench.commission.analysis.flux import ALONG_D, FLUX_FLOOR, LEAST_PARTS, SETTLE, STEP, ripple_delay
 from bench.commission.analysis.stretches import merged, parts
 from bench.commission.least_squares import fit
 from bench.commission.quantity import Quantity
@@ -24,6 +24,9 @@ from bench.signal.position import unwrapped
 
 CLEAR = 0.9
 """Of the rms of the voltage, that its mean along its own phase must be: else another thing than the rotor turns it."""
+STEADY = 0.2
+"""Of the commanded current, by which the mean of a part's second half may differ from that of the first: an angle by
+Hall edges differs from sector to sector."""
 UNKNOWN_LATE = Quantity("current_delay", "s", 0.5e-6, {"not measured": 0.6e-6})
 """By which a drive may sample its currents late, where nothing is known of it: 0 to 1.5 us."""
 TURNS = 0.8

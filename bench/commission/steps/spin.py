@@ -37,7 +37,7 @@ GROWS = 0.02
 TOP = 0.6
 """Of the linear voltage, that the top speed takes."""
 LOWER = 0.45
-"""Of the top, the speed at which a d current flows first, where Hall edges are all that tells the angle."""
+"""Of the top, a speed at which a d current flows, too, where Hall edges are all that tells the angle."""
 RECENT = 0.25
 """s of Hall edges that tell the speed,"""
 SILENT, CLEAR = math.pi, 100.0
@@ -94,8 +94,8 @@ class Spin:
     """rad/s, electrical, that was seen,"""
     now: float = 0.0
     """and at the last look."""
-    part: float = 1.0
-    """Of the top speed, to which it accelerates."""
+    goal: float = math.inf
+    """rad/s, electrical, to which it accelerates, if that is less than the limits allow."""
     slope: float = 0.0
     """rad/s2, electrical, of the last acceleration,"""
     took: float = 0.0
@@ -158,7 +158,7 @@ class Spin:
         last = seen[-1].speed
         gains = abs(last - seen[-2].speed) if len(seen) > 1 else 0.0
         volts = abs(_voltage(seen[-1].window))
-        return volts > self.part * TOP * self.stand.u_linear or abs(last) + AHEAD * gains > self.part * self.limit
+        return volts > TOP * self.stand.u_linear or abs(last) + AHEAD * gains > min(self.limit, self.goal)
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -176,9 +176,14 @@ class Spin:
         """A current for so long. The window is kept."""
         self.stand.current(i_d, i_q)
         with self.stand.stretch(kind) as taken:
-            for _ in range(round(seconds / LOOK)):
-                self.look()
+            if not self.blind:
+                self.stand.wait(seconds)
+            for _ in range(round(seconds / LOOK) if self.blind else 0):
+                self.stand.wait(LOOK)
+                self.now = self._by_edges(complex(i_d, i_q))
         self.windows.append(taken.window)
+        if not self.blind:
+            self.now = speed(taken.window.last(LOOK))
 
     def first_torque(self) -> float:
         """A of q current that takes it to the top in SECONDS: by a small one that grows until the shaft turns."""
@@ -200,15 +205,18 @@ class Spin:
         wanted = accelerating * goal / SECONDS / slope + self.friction
         return float(np.clip(wanted, min(OVER_FRICTION * self.friction + 0.02 * self.most, self.most), self.most))
 
-    def lap(self, way: float, i_q: float, first: bool) -> tuple[float, float]:
+    def lap(self, way: float, i_q: float, number: int) -> tuple[float, float]:
         """To the top and down again; the q current that it took, A, and s of the coast."""
         with self.stand.running(STEP, None):
-            for part in (LOWER, 1.0) if first and self.blind else (1.0,):
-                self.part = part
+            if number == 1 and self.blind:
+                self.goal = LOWER * self.fastest
                 i_q = self.reach(way, i_q)
-                top = abs(self.now)
-                if first:
-                    self.top(way, i_q)
+                self.along_d()
+                self.goal = math.inf
+            i_q = self.reach(way, i_q)
+            top = abs(self.now)
+            if number == 0:
+                self.top(way, i_q)
         return i_q, self.coast(top)
 
     def reach(self, way: float, i_q: float) -> float:
@@ -225,12 +233,16 @@ class Spin:
 
     def top(self, way: float, i_q: float) -> None:
         """A d current of both signs, and a torque for a moment where the rotor is heavy."""
+        self.along_d()
+        gains = self.slope * self.most / i_q * (TORQUE + AHEAD * LOOK)
+        if i_q > HEAVY * self.most and abs(self.now) + gains < self.limit:
+            self.hold(0.0, way * self.most, TORQUE, "q")
+
+    def along_d(self) -> None:
+        """A d current of both signs, some times."""
         for _ in range(PAIRS):
             for sign, kind in ((1.0, "d+"), (-1.0, "d-")):
                 self.hold(sign * self.most, 0.0, ALONG, kind)
-        gains = self.slope * self.most / i_q * (TORQUE + AHEAD * LOOK)
-        if self.part == 1.0 and i_q > HEAVY * self.most and abs(self.now) + gains < self.limit:
-            self.hold(0.0, way * self.most, TORQUE, "q")
 
     def coast(self, top: float) -> float:
         """Outputs off until it is slow; s that it took."""
@@ -287,7 +299,7 @@ def spin(stand: Stand) -> Spin:
     for way in (1.0, -1.0):
         lap, coasted = 0, 0.0
         while lap < LAPS or (coasted < COAST and lap < MOST_LAPS):
-            i_q, seconds = made.lap(way, i_q, lap == 0)
+            i_q, seconds = made.lap(way, i_q, lap)
             coasted += seconds
             lap += 1
     return made
