@@ -196,6 +196,8 @@ class Stand:
         drive = self.rig.drive
         self.step = step
         try:
+            if angle is not None:
+                drive.set("forced", 1.0)  # before it starts: Hall sensors that are wrong may not trip it
             drive.start()
             with drive.node.unwaited():
                 drive.current(0.0, 0.0)

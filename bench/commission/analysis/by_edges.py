@@ -33,8 +33,8 @@ def passed(edges: Edges, places: HallEdges) -> tuple[Floats, Floats]:
 def speed(recent: Edges, places: HallEdges, T: float) -> tuple[float, float]:
     """rad/s, electrical, by the last electrical turn of edges up to index 0, and the rad gone since, if it kept on.
 
-    A shaft of which no edge came is as fast as that allows; one that has not gone a whole turn need not keep on, and
-    has gone 0. T: s of a PWM period.
+    A shaft of which no edge came is as fast as that allows. It keeps on as it went through the last two sectors; one
+    that has not gone a whole turn need not, and has gone 0. T: s of a PWM period.
     """
     at, angle = passed(recent, places)
     if len(at) < 2:
@@ -44,7 +44,8 @@ def speed(recent: Edges, places: HallEdges, T: float) -> tuple[float, float]:
     silent = -float(at[-1]) * T
     most = OVERDUE * SECTOR_WIDTH / max(silent, 1e-9)
     whole = abs(angle[-1] - angle[first]) > math.tau - SECTOR_WIDTH / 2.0
-    return math.copysign(min(abs(w), most), w), abs(w) * silent if whole else 0.0
+    lately = abs(angle[-1] - angle[-3]) / max(float(at[-1] - at[-3]) * T, 1e-9) if whole else 0.0
+    return math.copysign(min(abs(w), most), w), min(abs(w), float(lately)) * silent
 
 
 def with_angle(window: Window, places: HallEdges) -> Window:

@@ -60,7 +60,9 @@ AHEAD = 2.0
 FIRST_LOOKS = 5
 """Looks at the shaft under each current of the first try."""
 ALONG, PAIRS = 0.08, 3
-"""s of a d current of each sign, and how many of each."""
+"""s of a d current of each sign, and how many of each;"""
+ALONG_TURNS, MOST_ALONG = 4.0, 0.2
+"""and without an encoder electrical turns at least, and s at most."""
 HEAVY, TORQUE = 0.3, 0.04
 """Of the largest current to accelerate with, from which a rotor is heavy enough for s of all of it at the top."""
 ENDS = 0.12
@@ -242,7 +244,8 @@ class Spin:
         """A d current of both signs, some times."""
         for _ in range(PAIRS):
             for sign, kind in ((1.0, "d+"), (-1.0, "d-")):
-                self.hold(sign * self.most, 0.0, ALONG, kind)
+                turns = ALONG_TURNS * math.tau / max(abs(self.now), 1.0) if self.blind else 0.0
+                self.hold(sign * self.most, 0.0, min(max(ALONG, turns), MOST_ALONG), kind)
 
     def coast(self, top: float) -> float:
         """Outputs off until it is slow; s that it took."""

@@ -116,8 +116,8 @@ def turned_by(stand: Stand, *turns: float) -> list[str]:
 
     def hand(this: float) -> bool:
         assert not stand.rig.drive.on
-        stand.rig.load.speed(rpm=math.copysign(30.0, this))
-        stand.rig.wait(2.0 * abs(this))
+        stand.rig.load.speed(rpm=math.copysign(10.0, this))
+        stand.rig.wait(6.0 * abs(this) - 0.1)  # and what it takes to start and to stop
         stand.rig.load.speed(rpm=0.0)
         stand.rig.wait(0.3)
         stand.rig.load.off()
@@ -128,6 +128,7 @@ def turned_by(stand: Stand, *turns: float) -> list[str]:
     return asked
 
 
+@pytest.mark.long("the steps up to it")
 @pytest.mark.parametrize("name", [PAPER, *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])])
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_one_turn_by_hand_tells_the_pole_pairs(name: str, way: float) -> None:
@@ -143,6 +144,7 @@ def test_one_turn_by_hand_tells_the_pole_pairs(name: str, way: float) -> None:
     assert outcomes["turn"]["n_p"].value == pytest.approx(of.n_p, abs=without_encoder.NEAR)
 
 
+@pytest.mark.long("the steps up to it")
 def test_a_turn_that_is_no_whole_number_is_asked_for_again_and_then_refused() -> None:
     of = blind(PAPER)
     with standing(of) as stand:
@@ -159,6 +161,7 @@ def test_a_turn_that_is_no_whole_number_is_asked_for_again_and_then_refused() ->
     assert "n_p" not in outcomes["turn"].settings
 
 
+@pytest.mark.long("the steps up to it")
 def test_nobody_is_asked_to_turn_a_shaft_whose_pole_pairs_are_told() -> None:
     with standing(blind(PAPER)) as stand:
         asked, stand.pole_pairs = turned_by(stand, 1.0), 6
@@ -166,6 +169,7 @@ def test_nobody_is_asked_to_turn_a_shaft_whose_pole_pairs_are_told() -> None:
     assert not asked
 
 
+@pytest.mark.long("the steps up to it")
 def test_told_pole_pairs_that_the_encoder_contradicts_are_named_and_the_shaft_is_not_spun() -> None:
     of = made(PAPER, True)
     with standing(of) as stand:
@@ -185,6 +189,7 @@ UNUSABLE: list[tuple[dict[str, Any], str]] = [
 ]
 
 
+@pytest.mark.long("the steps up to it")
 @pytest.mark.parametrize(("settings", "words"), UNUSABLE)
 def test_without_any_sensor_of_the_shaft_what_stands_still_is_told(settings: dict[str, Any], words: str) -> None:
     of = blind(PAPER, **settings)
@@ -266,12 +271,19 @@ def turned_stand(of: MadeBench, fast: float = 1.0) -> Iterator[Stand]:
         yield stand
 
 
+def accelerate(stand: Stand, i_q: float) -> None:
+    with stand.running("spin", None):
+        stand.current(0.0, i_q)
+        stand.wait(3.0)
+
+
 def fastest_of(of: MadeBench, stand: Stand) -> float:
     """r/min, by the plant."""
     whole = stand.rig.between(0, stand.rig.recorder.newest)
     return float(np.abs(whole["omega_true"]).max()) / of.n_p * 60.0 / math.tau
 
 
+@pytest.mark.long("the steps up to it")
 @pytest.mark.parametrize("name", MOTORS)
 def test_a_shaft_that_turns_against_its_torque_is_stopped(name: str) -> None:
     """The ring is taken for one that sits on the other side: torque and current have opposite signs."""
@@ -285,6 +297,7 @@ def test_a_shaft_that_turns_against_its_torque_is_stopped(name: str) -> None:
         assert fastest_of(of, stand) < 0.5 * of.rpm
 
 
+@pytest.mark.long("the steps up to it")
 @pytest.mark.parametrize("name", MOTORS)
 @pytest.mark.parametrize("look", [8, 25])
 def test_a_drive_whose_edges_stop_is_switched_off(name: str, look: int) -> None:
@@ -307,14 +320,14 @@ def test_a_drive_whose_edges_stop_is_switched_off(name: str, look: int) -> None:
         assert fastest_of(of, stand) < of.rpm
 
 
+@pytest.mark.long("the steps up to it")
 def test_a_motor_that_runs_away_is_switched_off_by_its_hall_edges() -> None:
     """What foresees the end of an acceleration is taken away: the guard is left."""
     of = blind(PAPER)
     with turned_stand(of, fast=0.2) as stand:
         words = r"run away: at most 6\d+(\.\d+)? r/min asked for, \d+ r/min by the Hall sensors"
-        with pytest.raises(Refused, match=words), stand.running("spin", None):
-            stand.current(0.0, 0.3 * stand.i_max)
-            stand.wait(3.0)
+        with pytest.raises(Refused, match=words):
+            accelerate(stand, 0.3 * stand.i_max)
         assert not stand.rig.drive.on
         assert fastest_of(of, stand) < 1.3 * 0.2 * of.rpm
 
