@@ -215,7 +215,7 @@ class Stand:
     def _why_tripped(self, error: DriveTripped) -> str:
         faults = self.rig.drive.faults
         hint = {
-            "OVERCURRENT": "a winding has a short, or the current loop is unstable",
+            "OVERCURRENT": "a winding has a short, the current loop is unstable, or the angle got lost",
             "UNDERVOLTAGE": "the supply limits its current, or is switched off",
             "OVERVOLTAGE": "the motor feeds the DC link, which nothing takes the energy of",
             "OVERSPEED": "the shaft is faster than was agreed to: agree to less current, or to more speed",

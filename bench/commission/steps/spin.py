@@ -96,6 +96,8 @@ class Spin:
     """rad/s, electrical, that was seen,"""
     now: float = 0.0
     """and at the last look."""
+    began: float = 0.0
+    """rad/s, electrical, at which this lap began."""
     goal: float = math.inf
     """rad/s, electrical, to which it accelerates, if that is less than the limits allow."""
     slope: float = 0.0
@@ -150,7 +152,8 @@ class Spin:
         while not (top := self.at_the_top(seen)) and _apart(seen) + LOOK < seconds:
             seen.append(self.look())
             i_q = seen[-1].window.i_ref.imag
-            if i_q and self.now * math.copysign(1.0, i_q) < -0.1 * self.limit:
+            way = math.copysign(1.0, i_q)
+            if i_q and way * self.now < min(way * self.began, 0.0) - 0.1 * self.limit:
                 sensor = "the Hall sensors are" if self.blind else "the encoder has slipped, or is"
                 raise Refused(STEP, f"the shaft turns against its torque: {sensor} wrong")
         return seen, top
@@ -209,6 +212,7 @@ class Spin:
 
     def lap(self, way: float, i_q: float, number: int) -> tuple[float, float]:
         """To the top and down again; the q current that it took, A, and s of the coast."""
+        self.began = self.now
         with self.stand.running(STEP, None):
             if number == 1 and self.blind:
                 self.goal = LOWER * self.fastest
