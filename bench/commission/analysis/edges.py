@@ -215,17 +215,15 @@ def edges_by_back_emf(
     columns = [(kinds[:, None] == np.arange(2 * SECTORS)).astype(float), along[:, None]]
     columns += [w[:, None]] if delay is None else []
     told = least_squares.fit(np.hstack(columns), wrap(off - near[kinds]), np.sqrt([p.n for p in every]))
-    x, covariance = told.x, told.covariance * told.inflation() ** 2
     if delay is None:
-        known = covariance[:, -1] / (covariance[-1, -1] + USUAL_DELAY[1] ** 2)  # what is usual counts as it is sure
-        x, covariance = x + known * (USUAL_DELAY[0] - x[-1]), covariance - np.outer(known, covariance[-1])
-        by = {"noise": math.sqrt(covariance[-1, -1]), "method": BLIND_DELAY_FLOOR / (fastest - slowest)}
-        delay = Quantity("hall_delay", "s", float(x[-1]), by)
+        told = told.informed(told.x.size - 1, *USUAL_DELAY)
+        by = {"noise": float(told.sd[-1]) * told.inflation(), "method": BLIND_DELAY_FLOOR / (fastest - slowest)}
+        delay = Quantity("hall_delay", "s", float(told.x[-1]), by)
         late = delay.parts["method"] * slowest
     else:
         late = float(np.mean(np.abs(w))) * delay.sd
-    noise = np.sqrt(np.diag(covariance))[: 2 * SECTORS]
-    places = near + x[: 2 * SECTORS] + SECTOR_WIDTH * np.tile(np.arange(SECTORS), 2)
+    noise = (told.sd * told.inflation())[: 2 * SECTORS]
+    places = near + told.x[: 2 * SECTORS] + SECTOR_WIDTH * np.tile(np.arange(SECTORS), 2)
     sits = mean_angle(places - SECTOR_WIDTH * np.tile(np.arange(SECTORS), 2))
     parts = [{"noise": float(sd), "delay": late, "method": BLIND_FLOOR} for sd in noise]
     up, down = quantities({"up": places[:SECTORS].tolist(), "down": places[SECTORS:].tolist()}, sits, parts)

@@ -166,10 +166,12 @@ def _speeds(theta: Floats, T: float, n_p: int) -> list[tuple[int, float]]:
     return found
 
 
-def mechanics(windows: Sequence[Window], found: Flux, R: Quantity, L_q: Quantity, n_p: int) -> Mechanics:
-    """J, friction, and how late currents are sampled, of windows with an encoder: driven by a q current, and "off".
+def mechanics(
+    windows: Sequence[Window], found: Flux, R: Quantity, L_q: Quantity, n_p: int, usual: Quantity | None = None
+) -> Mechanics:
+    """J, friction, and how late currents are sampled, of windows with an angle: driven by a q current, and "off".
 
-    Refused where too few pieces of each kind were long enough.
+    `usual`: what is known of that lateness beforehand, s. Refused where too few pieces of each kind were long enough.
     """
     seen = moments(windows, found, L_q.value, n_p)
     each = [int(np.count_nonzero((seen.up == up) & (seen.on == on))) for up in (True, False) for on in (True, False)]
@@ -181,6 +183,9 @@ def mechanics(windows: Sequence[Window], found: Flux, R: Quantity, L_q: Quantity
         )
     k_t = 1.5 * n_p * found.psi.value
     told = fit(seen.columns(), k_t * seen.charge)
+    if usual is not None:
+        by = L_q.value / (k_t * n_p * found.psi.value)
+        told = told.informed(LAG, usual.value / by, usual.sd / by)
     noise = told.sd * told.inflation()
     late = _late(told, noise, k_t, n_p, found.psi.value, L_q)
     flux = compensated(found, R, L_q, late)

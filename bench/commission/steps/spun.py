@@ -104,7 +104,7 @@ def _without_encoder(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spu
     found.pole_pairs = stand.turned.n_p is not None
     try:
         found.edges = edges_by_back_emf(windows, R, L_q)
-        found.motion = mechanics(_with_angles(windows, found.edges), found.flux, R, L_q, made.n_p)
+        found.motion = mechanics(_with_angles(windows, found.edges), found.flux, R, L_q, made.n_p, UNKNOWN_LATE)
         found.flux = found.motion.flux
         found.inductances = _inductances(stand, found.motion, made.n_p)
         if found.pole_pairs:
