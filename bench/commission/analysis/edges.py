@@ -31,8 +31,8 @@ STEP = "edges"
 DELAY_FLOOR = 4e-7
 """s, sd, of the delay of the sensors: where each edge of the turn was passed a few times only, `edge_fit` takes a part
 of the delay for what pole pairs add, up to 0.6 us of synthetic benches that coast for 0.4 s."""
-BLIND_FLOOR = math.radians(0.15)
-"""rad, sd, of an edge by the back-EMF: in the trial 0.10 deg in the median, 0.31 at worst."""
+BLIND_FLOOR = math.radians(0.1)
+"""rad, sd, of an edge by the back-EMF: of unkind benches 0.04 deg in the median, 0.24 at worst, the noise among it."""
 PAIRS_FLOOR = math.radians(0.3)
 """rad, sd, of an edge of one pole pair against their mean, where they could not be told apart."""
 SLOPE = 8e-3
@@ -41,7 +41,7 @@ TICKS = 4096
 """Steps of a PWM period in which the time of an edge is counted here."""
 USUAL_DELAY = 1e-5, 1e-5
 """s, by which Hall edges are seen late in drives, and its sd: for a shaft too slow to tell it."""
-BLIND_DELAY_FLOOR = math.radians(0.15)
+BLIND_DELAY_FLOOR = math.radians(0.1)
 """rad, sd, of what an edge by the back-EMF moves by from the slowest to the fastest speed, besides its delay."""
 APART = 0.7
 """Of the fastest speed, that the slowest may be at most for a delay to be told."""
