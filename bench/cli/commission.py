@@ -49,6 +49,9 @@ _TITLES = {
 @click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0),
               help="Largest speed that the shaft may turn at, r/min [default: of a simulated drive its limit]."
               )  # fmt: skip
+@click.option("--pole-pairs", metavar="N", type=click.IntRange(1, 64),
+              help="Pole pairs of the motor, without an encoder: nothing else tells them but one turn of the shaft by "
+              "hand, which is asked for; with one they are compared with what it shows.")  # fmt: skip
 @click.option("-o", "--out", metavar="TOML", type=FILE,
               help="Write the parameters that were found, for bench param load.")  # fmt: skip
 @click.option("--report", metavar="DIR", type=DIRECTORY,
@@ -67,7 +70,8 @@ def command(
     the smallest current that shows whether all phases are there and in order, then resistance and dead time, told
     apart, then L_d and L_q over the current. Then the shaft is turned slowly, which tells pole pairs, encoder and Hall
     wires, and spun and left to coast, which tells flux, inertia, friction and Hall edges. Gains follow, and a step of
-    the current against the model. What a step cannot claim it refuses by name.
+    the current against the model. What a step cannot claim it refuses by name. Without an encoder the shaft is spun on
+    its Hall sensors.
 
     Every value has two 95 % intervals: in the drive's own volts and amperes, which its loops and observers compute in,
     and absolute, with the gains of its sensors. Nothing is stored in the drive: all parameters are put back. Needs a
@@ -81,6 +85,7 @@ def command(
       bench commission sim --config gimbal-4310 -o found.toml --report found
       bench commission serial:/dev/ttyACM0 --current 6 --step r -o found.toml
       bench commission serial:/dev/ttyACM0 --current 6 --speed 3000 -o found.toml
+      bench commission serial:/dev/ttyACM0 --current 6 --speed 3000 --pole-pairs 7 -o found.toml
     """
     files = {"--json": json_file, "--out": out}
     given["config"] = simulated_figures(target, given["config"])

@@ -47,6 +47,8 @@ class Options:
     steps: tuple[str, ...] | None = None
     current_a: float | None = None
     speed_rpm: float | None = None
+    pole_pairs: int | None = None
+    """As a person knows them, for a drive without an encoder."""
     report: Path | None = None
     overwrite: bool = False
     yes: bool = False
@@ -152,6 +154,7 @@ def commission(
         rig.prepare([channels(rig)], recording, held=True, full=True)
         began = rig.tick()
         stand = Stand(rig, i_max)
+        stand.pole_pairs, stand.by_hand = options.pole_pairs, ask is not None and not agreed
         missing: set[str] = set()
         for step in steps:
             if missing & set(step.needs) or rig.drive.faults or rig.drive.ran_away:

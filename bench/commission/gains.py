@@ -62,26 +62,31 @@ def top_speed(R: float, L: float, psi: float, limits: Limits) -> float:
 
 
 def settings(found: Mapping[str, Quantity], n_p: int | None, limits: Limits) -> dict[str, float]:
-    """Parameters by what was found, in their units; those for which something is missing are left out."""
+    """Parameters by what was found, in their units; those for which something is missing are left out.
+
+    `n_p`: None where nobody knows the pole pairs.
+    """
     if not {"R_s", "L_q"} <= found.keys():
         return {}
     R, L = found["R_s"].value, found["L_q"].value
     bw = bandwidth(L, limits)
     told = {"i_max": limits.i_max, "i_trip": TRIP_CURRENT * limits.i_max, "bw_current": bw, "dead_time_comp": 1.0}
     told["u_dc_min"] = LOWEST_LINK * limits.u_dc
-    if "psi_f" not in found or n_p is None:
+    if "psi_f" not in found:
         return told
     psi = found["psi_f"].value
     top = TOP * top_speed(R, L, psi, limits)
     scale = max(top, 1.0) / REFERENCE
-    omega_m = min(top / n_p, limits.omega_m)
     left = max(DEAD_SHARE * limits.u_dc, RESISTIVE * R * limits.i_max)
     told |= {
-        "omega_m_max": omega_m, "omega_m_trip": TRIP_SPEED * omega_m,
         "k_p_vt": TRACKING * scale, "k_i_vt": TRACKING_INTEGRAL * scale**2, "tau_max": EMF_TIME / scale,
         "hall_timeout": HALL_TIME / scale, "bw_hall_vector": HALL_VECTOR * scale,
         "k_ic": LOAD_ANGLE * bw * R / limits.u_dc, "omega_on": left / psi, "omega_off": ON_OFF * left / psi,
     }  # fmt: skip
+    if n_p is None:
+        return told
+    omega_m = min(top / n_p, limits.omega_m)
+    told |= {"omega_m_max": omega_m, "omega_m_trip": TRIP_SPEED * omega_m}
     if "J" in found and found["J"].value > 0.0:
         k_p = SPEED_RATE * found["J"].value / (1.5 * n_p * psi)
         told |= {"k_p_speed": k_p, "k_i_speed": SPEED_INTEGRAL * k_p}

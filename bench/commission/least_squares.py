@@ -46,6 +46,13 @@ class Fit:
             total += 2.0 * correlation
         return math.sqrt(total)
 
+    def informed(self, k: int, value: float, sd: float) -> Fit:
+        """With what else is known of coefficient k: `value`, give or take `sd`. The residuals are those of before."""
+        inflated = self.inflation() ** 2
+        share = self.covariance[:, k] / (self.covariance[k, k] + sd**2 / inflated)
+        x = self.x + share * (value - self.x[k])
+        return Fit(x, self.covariance - np.outer(share, self.covariance[k]), self.residuals)
+
 
 def fit(A: Floats, y: Floats, weights: Floats | None = None) -> Fit:
     """Minimise the squares of weights (y - A x): A of shape (n, k), y and weights of shape (n,).

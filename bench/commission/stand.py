@@ -40,6 +40,8 @@ BEYOND = 1.15
 """Times the agreed current above which a window ends the step."""
 STOP_LOOK, LONGEST_STOP = 0.05, 20.0
 """s of a look at a shaft that is to come to rest, and for which it is waited for at most."""
+NO_EDGE = 0.3
+"""s without a Hall edge, after which a shaft without an encoder rests."""
 STILL = 0.1
 """rad, electrical, by which the encoder of a shaft that rests may move in a look."""
 FASTEST_TURN = math.tau
@@ -74,6 +76,10 @@ class Turned:
     """How the Hall sensors answer, where their codes are right; None where they are not."""
     first: str
     """What has to be put right before the shaft may be spun; empty for nothing."""
+    n_p: int | None = None
+    """Pole pairs, by the encoder or by a person; None where nobody knows them."""
+    share: float = 0.0
+    """Of the current that drags, what it takes to turn the shaft."""
 
 
 class Stand:
@@ -106,6 +112,10 @@ class Stand:
         """Of the inductance's step, for a second look once the inertia is known."""
         self.turned: Turned | None = None
         """What the dragged turn has shown."""
+        self.pole_pairs: int | None = None
+        """As they were told; None where nobody did."""
+        self.by_hand = False
+        """Whether a person may be asked to turn the shaft."""
         if rig.rate < rig.drive.node.identity.pwm_hz * (1 - 1e-9):
             raise BenchError(
                 f"the link carries {rig.rate:g} samples a second of {len(rig.channels)} channels, and a commissioning "
@@ -186,6 +196,8 @@ class Stand:
         drive = self.rig.drive
         self.step = step
         try:
+            if angle is not None:
+                drive.set("forced", 1.0)  # before it starts: Hall sensors that are wrong may not trip it
             drive.start()
             with drive.node.unwaited():
                 drive.current(0.0, 0.0)
@@ -203,10 +215,11 @@ class Stand:
     def _why_tripped(self, error: DriveTripped) -> str:
         faults = self.rig.drive.faults
         hint = {
-            "OVERCURRENT": "a winding has a short, or the current loop is unstable",
+            "OVERCURRENT": "a winding has a short, the current loop is unstable, or the angle got lost",
             "UNDERVOLTAGE": "the supply limits its current, or is switched off",
             "OVERVOLTAGE": "the motor feeds the DC link, which nothing takes the energy of",
             "OVERSPEED": "the shaft is faster than was agreed to: agree to less current, or to more speed",
+            "HALL": "the Hall codes came in no order: a wire without contact, or disturbances",
             "OVERLOAD": "the winding is not meant for this current: lower --current, or check i_cont and i2t_max",
         }
         reasons = [hint[name] for name in faults if name in hint]
@@ -278,10 +291,14 @@ class Stand:
         return window
 
     def await_rest(self, step: str) -> None:
-        """Of a drive that is off: wait until its shaft, by the encoder, stands still. Refused where it goes on."""
+        """Of a drive that is off: wait until its shaft stands still, by encoder or Hall edges. Refused else."""
         for _ in range(round(LONGEST_STOP / STOP_LOOK)):
-            theta = self.look(STOP_LOOK).theta
-            if theta is None or float(np.ptp(unwrapped(theta))) < STILL:
+            seen = self.look(STOP_LOOK)
+            if seen.theta is None:
+                still = not len(self.recent_edges(NO_EDGE))
+            else:
+                still = float(np.ptp(unwrapped(seen.theta))) < STILL
+            if still:
                 return
         raise Refused(step, f"the shaft still turns after {LONGEST_STOP:g} s with the outputs off: hold what turns it")
 
@@ -289,6 +306,14 @@ class Stand:
         """The same as the link carries it, whatever its rate: to see whether a current flows."""
         self._follow()
         return self._checked(self._window(self.rig.streamed(seconds), ""))
+
+    def recent_edges(self, seconds: float) -> Edges:
+        """Hall edges of so many s up to the newest sample, which has index 0."""
+        newest = self.rig.recorder.newest
+        edges = self.rig.between(newest - round(seconds * self.rig.recorder.tick_hz), newest).edges
+        index = (edges.tick - newest) / (self.rig.recorder.tick_hz * self.T)
+        old, new, count = (np.asarray(each, np.int64) for each in (edges.hall_old, edges.hall_new, edges.encoder))
+        return Edges(old, new, index, count)
 
     def wait(self, seconds: float) -> None:
         """Let it go on for so long."""

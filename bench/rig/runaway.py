@@ -40,6 +40,7 @@ BLOCK = 0.01  # s of samples whose median is a speed
 FEW = 15  # samples of a block that are enough for its median
 MEMORY = 0.2  # s of device time within which a sensor has seen the shaft turn
 PATIENCE = 0.15  # s for which a sensor's word waits for that of one that is silent: on CAN edges come with heartbeats
+A_TURN = math.tau - 0.1  # electrical rad
 BEYOND = 1.1  # of omega_m_max, a speed at which one sensor's word is enough
 
 
@@ -85,6 +86,15 @@ class _Sensor:
             self.low - max(OVERSHOOT * max(-self.low, 0.0), margin),
             self.high + max(OVERSHOOT * max(self.high, 0.0), margin),
         )
+
+    def over_a_turn(self) -> float:
+        """The speed by its last electrical turn, in which the places of single edges even out; 0 before one."""
+        gone, until = 0.0, self._travel[-1][0] if self._travel else 0.0
+        for time, own, _ in reversed(self._travel):
+            if abs(gone) > A_TURN and until > time:
+                return gone / (until - time)
+            gone += own
+        return 0.0
 
     def sees_it_turn(self, now: float) -> bool:
         """Whether it has seen the shaft go on by a Hall sector just now."""
@@ -166,14 +176,16 @@ class Runaway:
             return
         most = self.most_free if self._asked is None else self.most
         with_care = math.inf if most is None else most * self._n_p
-        main = self._encoder if self._encoder in self._there else self._own  # taken for the shaft's own speed
+        ranked = (self._encoder, self._own, self._hall)
+        main = next((sensor for sensor in ranked if sensor in self._there), None)  # taken for the shaft's own speed
         for sensor in self._there:
             far = TOO_FAR_ALONE if sensor is self._own and len(self._there) > 1 else TOO_FAR
             too_far = max(sensor.over, sensor.under) > far and self._asked is not None and self._believed(sensor, now)
-            if too_far or (sensor is main and abs(sensor.speed) > with_care):
+            speed = sensor.over_a_turn() if sensor is self._hall else sensor.speed
+            if too_far or (sensor is main and abs(speed) > with_care):
                 per_rpm = self._n_p * RPM
                 asked = f"at most {with_care / per_rpm:g}" if self._asked is None else f"{self._asked / per_rpm:g}"
-                seen_by = f"{sensor.speed / per_rpm:.0f} r/min by {sensor.words} at {now:.3f} s of device time"
+                seen_by = f"{speed / per_rpm:.0f} r/min by {sensor.words} at {now:.3f} s of device time"
                 self.verdict = f"let its motor run away: {asked} r/min asked for, {seen_by}"
                 return
 

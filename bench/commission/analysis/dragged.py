@@ -99,6 +99,19 @@ def dragged(
     )
 
 
+def rough_flux(windows: Sequence[Window], L: float, current: float) -> float:
+    """V s of the rotor, at least 0, by the voltage across the `current`, A, that drags it at one speed in each window.
+
+    L in H. What resistance and dead time take lies along the current.
+    """
+    told = []
+    for window in windows:
+        angle = unwrapped(window.control)
+        w = float(angle[-1] - angle[0]) / (window.T * max(len(angle) - 1, 1))
+        told.append(float(window.u_dq.imag.mean()) / w if w else 0.0)
+    return max(float(np.mean(told)) - L * current, 0.0)
+
+
 def _shaft(windows: Sequence[Window], n_p: int, encoder_zero: float) -> list[tuple[Floats, Floats]]:
     """Angle that was made, electrical, and the shaft's, unwrapped, of each stretch; Refused without an encoder."""
     found = []

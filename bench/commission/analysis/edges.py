@@ -7,11 +7,13 @@ By the encoder each edge of a turn of the shaft has its own place, and a delay s
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from bench.commission import least_squares
 from bench.commission.analysis.back_emf import rotations
 from bench.commission.analysis.flux import Flux
 from bench.commission.analysis.stretches import merged
@@ -29,14 +31,20 @@ STEP = "edges"
 DELAY_FLOOR = 4e-7
 """s, sd, of the delay of the sensors: where each edge of the turn was passed a few times only, `edge_fit` takes a part
 of the delay for what pole pairs add, up to 0.6 us of synthetic benches that coast for 0.4 s."""
-BLIND_FLOOR = math.radians(0.15)
-"""rad, sd, of an edge by the back-EMF: in the trial 0.10 deg in the median, 0.31 at worst."""
+BLIND_FLOOR = math.radians(0.1)
+"""rad, sd, of an edge by the back-EMF: of unkind benches 0.04 deg in the median, 0.24 at worst, the noise among it."""
 PAIRS_FLOOR = math.radians(0.3)
 """rad, sd, of an edge of one pole pair against their mean, where they could not be told apart."""
 SLOPE = 8e-3
 """s on either side of an edge over which its speed is taken."""
 TICKS = 4096
 """Steps of a PWM period in which the time of an edge is counted here."""
+USUAL_DELAY = 1e-5, 1e-5
+"""s, by which Hall edges are seen late in drives, and its sd: for a shaft too slow to tell it."""
+BLIND_DELAY_FLOOR = math.radians(0.1)
+"""rad, sd, of what an edge by the back-EMF moves by from the slowest to the fastest speed, besides its delay."""
+APART = 0.7
+"""Of the fastest speed, that the slowest may be at most for a delay to be told."""
 LEAST_PASSAGES = 3
 """Of each edge in each direction, by the back-EMF of each sign of the current."""
 
@@ -179,55 +187,70 @@ def _pole_pair(angle: Floats, count: Floats, n_p: int, counts: int) -> int:
     return int(np.argmax(np.bincount(turns)))
 
 
-def edges_by_back_emf(windows: Sequence[Window], R: Quantity, L_q: Quantity, delay: Quantity) -> HallEdges:
+def edges_by_back_emf(
+    windows: Sequence[Window], R: Quantity, L_q: Quantity, delay: Quantity | None = None
+) -> HallEdges:
     """The edges of windows of the kinds "d+" and "d-" at speed, without an encoder; pole pairs are not told apart.
 
-    `delay`, s: by which edges are seen late against currents and voltages, which nothing tells here. Refused where an
-    edge was passed too seldom with either sign of the current.
+    `delay`, s: by which edges are seen late against currents and voltages; None: it is told by windows at two speeds.
+    Refused where an edge was passed too seldom with either sign of the current, and for one speed where it is needed.
     """
-    found: dict[tuple[int, int, bool], list[tuple[float, int]]] = {}
-    speeds = []
-    by_period = [(w, rotation) for w in merged(windows) for rotation in rotations([w], R.value, L_q.value)]
-    for window, rotation in by_period:
-        inside = rotation.holds(window.edges.index)
-        at = window.edges.index[inside]
-        edge, way = edge_passages(window.edges.old[inside] & 7, window.edges.new[inside] & 7)
-        theta = rotation.theta(at) - delay.value * rotation.speed(at) / window.T
-        off = wrap(theta - SECTOR_WIDTH * edge)
-        speeds.append(abs(rotation.w))
-        forward = 1 if rotation.w > 0.0 else -1
-        for sector in range(SECTORS):
-            own = off[(edge == sector) & (way == forward)]
-            if len(own):
-                found.setdefault((sector, forward, rotation.along), []).append((mean_angle(own), len(own)))
-    places: dict[str, list[float]] = {"up": [], "down": []}
-    noise = []
-    for name, forward in (("up", 1), ("down", -1)):
-        for sector in range(SECTORS):
-            means, errors = zip(
-                *(_mean(found.get((sector, forward, along), [])) for along in (True, False)), strict=True
-            )
-            if not np.isfinite(means).all():
-                raise Refused(
-                    STEP,
-                    f"the edge of sector {sector + 1} was passed {'forward' if forward > 0 else 'in reverse'} in "
-                    f"fewer than {LEAST_PASSAGES} parts of one sign of the current: turn it longer at speed, both ways",
-                )
-            places[name].append(sector * SECTOR_WIDTH + mean_angle(np.array(means)))
-            noise.append(0.5 * math.hypot(*errors))
-    late = float(np.mean(speeds)) * delay.sd
-    every = np.array(places["up"] + places["down"]) - SECTOR_WIDTH * np.tile(np.arange(SECTORS), 2)
-    sits = mean_angle(every)
-    parts = [{"noise": sd, "delay": late, "method": BLIND_FLOOR} for sd in noise]
-    up, down = quantities(places, sits, parts)
+    every = list(_against_back_emf(windows, R.value, L_q.value))
+    n = np.array([[sum(p.kind == kind and p.along == along for p in every) for along in (True, False)]
+                  for kind in range(2 * SECTORS)])  # fmt: skip
+    if n.min() < LEAST_PASSAGES:
+        kind = int(np.argmin(n.min(axis=1)))
+        raise Refused(
+            STEP,
+            f"the edge of sector {kind % SECTORS + 1} was passed {'forward' if kind < SECTORS else 'in reverse'} in "
+            f"fewer than {LEAST_PASSAGES} parts of one sign of the current: turn it longer at speed, both ways",
+        )
+    kinds, w = np.array([p.kind for p in every]), np.array([p.w for p in every])
+    fastest, slowest = float(np.abs(w).max()), float(np.abs(w).min())
+    if delay is None and slowest > APART * fastest:
+        raise Refused(STEP, f"all edges were passed at about {fastest:.0f} rad/s: turn slower too, to tell their delay")
+    off = np.array([p.off for p in every]) - (0.0 if delay is None else delay.value * w)
+    near = np.array([mean_angle(off[kinds == kind]) for kind in range(2 * SECTORS)])
+    along = np.array([1.0 if p.along else -1.0 for p in every]) * fastest / w
+    columns = [(kinds[:, None] == np.arange(2 * SECTORS)).astype(float), along[:, None]]
+    columns += [w[:, None]] if delay is None else []
+    told = least_squares.fit(np.hstack(columns), wrap(off - near[kinds]), np.sqrt([p.n for p in every]))
+    if delay is None:
+        told = told.informed(told.x.size - 1, *USUAL_DELAY)
+        by = {"noise": float(told.sd[-1]) * told.inflation(), "method": BLIND_DELAY_FLOOR / (fastest - slowest)}
+        delay = Quantity("hall_delay", "s", float(told.x[-1]), by)
+        late = delay.parts["method"] * slowest
+    else:
+        late = float(np.mean(np.abs(w))) * delay.sd
+    noise = (told.sd * told.inflation())[: 2 * SECTORS]
+    places = near + told.x[: 2 * SECTORS] + SECTOR_WIDTH * np.tile(np.arange(SECTORS), 2)
+    sits = mean_angle(places - SECTOR_WIDTH * np.tile(np.arange(SECTORS), 2))
+    parts = [{"noise": float(sd), "delay": late, "method": BLIND_FLOOR} for sd in noise]
+    up, down = quantities({"up": places[:SECTORS].tolist(), "down": places[SECTORS:].tolist()}, sits, parts)
     of_ring = {"noise": float(np.mean(noise)) / math.sqrt(len(noise)), "method": BLIND_FLOOR}
     return HallEdges(Quantity("hall_offset", "rad", sits, of_ring), up, down, delay)
 
 
-def _mean(parts: Sequence[tuple[float, int]]) -> tuple[float, float]:
-    """Mean angle of the means of parts, and its standard error by how these scatter; NaN for too few."""
-    if len(parts) < LEAST_PASSAGES:
-        return math.nan, math.nan
-    angles = np.array([angle for angle, _ in parts])
-    mean = mean_angle(angles)
-    return mean, float(np.std(wrap(angles - mean), ddof=1)) / math.sqrt(len(angles))
+class _Passed(NamedTuple):
+    """Passages of one edge in a part of a window."""
+
+    kind: int  # sector, and 6 more in reverse
+    along: bool  # whether the current is along the flux
+    w: float  # rad/s, electrical
+    off: float  # rad, from where an ideal edge lies, in the mean
+    n: int
+
+
+def _against_back_emf(windows: Sequence[Window], R: float, L_q: float) -> Iterator[_Passed]:
+    """Edges by the angle of the back-EMF."""
+    for window in merged(windows):
+        for rotation in rotations([window], R, L_q):
+            inside = rotation.holds(window.edges.index)
+            edge, way = edge_passages(window.edges.old[inside] & 7, window.edges.new[inside] & 7)
+            off = wrap(rotation.theta(window.edges.index[inside]) - SECTOR_WIDTH * edge)
+            forward = rotation.w > 0.0
+            for sector in range(SECTORS):
+                own = off[(edge == sector) & (way == (1 if forward else -1))]
+                if len(own):
+                    kind = sector + (0 if forward else SECTORS)
+                    yield _Passed(kind, rotation.along, rotation.w, mean_angle(own), len(own))

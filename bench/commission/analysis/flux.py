@@ -98,8 +98,8 @@ class Flux:
     """rad by which the encoder's angle as streamed is ahead of the rotor flux at standstill."""
     along: float
     """ohm, besides R, of what is taken along the current: dead time, and what R is wrong by."""
-    fitted: Fit
-    """Of psi and L_d: its residuals, V, are those of v_q."""
+    fitted: Fit | None = None
+    """Of psi and L_d: its residuals, V, are those of v_q; None without an encoder."""
 
     def error(self, w: Floats | float) -> Floats | float:
         """rad by which the encoder's angle as streamed is ahead at electrical speeds `w`, rad/s."""

@@ -61,6 +61,8 @@ class HallOrder:
     """By the wiring; rough."""
     in_order: float
     """Share of the edges that go the way of most."""
+    lag: float = 0.0
+    """rad, by which the rotor stays behind the angle that drags it, with half the sensors' hysteresis in it."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +91,11 @@ def hall_order(up: Sequence[Window], down: Sequence[Window]) -> HallOrder:
     steps = np.concatenate([each.way * steps_between(each.old ^ mask, each.new ^ mask) for each in seen])
     forward, backward = (float(np.mean(np.sign(steps) == sign)) for sign in (1.0, -1.0))
     order = FORWARD if forward > IN_ORDER else BACKWARD if backward > IN_ORDER else NEITHER
-    rises, falls = np.full(3, math.nan), np.full(3, math.nan)
+    rises, falls, lags = np.full(3, math.nan), np.full(3, math.nan), []
     for k in range(3):
         for places, high in ((rises, True), (falls, False)):
             by_way = [_place(each, k, high) for each in seen]
+            lags.append(0.5 * wrapped(by_way[0] - by_way[1]))
             places[k] = mean_angle(np.array(by_way)) if np.isfinite(by_way).all() else math.nan
     found = []
     if order != NEITHER and np.isfinite([rises, falls]).all():
@@ -102,7 +105,8 @@ def hall_order(up: Sequence[Window], down: Sequence[Window]) -> HallOrder:
     found.sort(key=lambda w: (w.changes, w.inverted.bit_count(), abs(w.ring)))
     wired = found[0] if found else None
     edges = _edges(seen, wired) if wired is not None else None
-    return HallOrder(order, levels, wired, tuple(found[1:]), edges, max(forward, backward))
+    lag = float(np.nan_to_num(np.mean(lags)))
+    return HallOrder(order, levels, wired, tuple(found[1:]), edges, max(forward, backward), lag)
 
 
 def _unwrapped(windows: Sequence[Window]) -> list[Window]:

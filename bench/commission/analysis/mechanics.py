@@ -191,13 +191,14 @@ def _speeds(theta: Floats, T: float, n_p: int) -> list[_Moment]:
 
 
 def mechanics(
-    windows: Sequence[Window], found: Flux, R: Quantity, L_q: Quantity, n_p: int, falls: float = 0.0
-) -> Mechanics:
-    """J, friction, and how late currents are sampled, of windows with an encoder: driven by a q current, and "off".
+    windows: Sequence[Window], found: Flux, R: Quantity, L_q: Quantity, n_p: int, falls: float = 0.0,
+    usual: Quantity | None = None,
+) -> Mechanics:  # fmt: skip
+    """J, friction, and how late currents are sampled, of windows with an angle: driven by a q current, and "off".
 
     `falls`, 1/A: share by which a d current lessens L_q. If that is one axis that saturates the other, a q current
-    lessens the flux by as much, and its torque is less than psi says. Refused where too few pieces of each kind were
-    long enough.
+    lessens the flux by as much, and its torque is less than psi says. `usual`: what is known of the lateness
+    beforehand, s. Refused where too few pieces of each kind were long enough.
     """
     beside = harmonics(windows, found, R.value, L_q.value)
     seen = moments(windows, found, beside, L_q.value, n_p)
@@ -210,11 +211,14 @@ def mechanics(
         )
     k_t = 1.5 * n_p * found.psi.value
     told = fit(seen.columns(), k_t * seen.charge)
+    by = L_q.value / (k_t * n_p * found.psi.value)
+    if usual is not None:
+        told = told.informed(LAG, usual.value / by, usual.sd / by)
     noise = told.sd * told.inflation()
     late = _late(told, noise, k_t, n_p, found.psi.value, L_q)
     flux, x = compensated(found, R, L_q, late), told.x
     ways, shape = _ways(seen, k_t, x), _shape(seen, k_t, told)
-    more = _implausible(seen, k_t, told, L_q.value / (k_t * n_p * found.psi.value))
+    more = _implausible(seen, k_t, told, by)
     driven = [abs(w.i_ref.imag) for w in windows if w.i_ref.imag]
     crossed = 0.5 * L_q.value * abs(falls) * float(np.mean(np.square(driven))) / found.psi.value
     share = flux.psi.sd / flux.psi.value

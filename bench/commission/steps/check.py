@@ -66,8 +66,8 @@ def perform(stand: Stand) -> Outcome:
     """Set the gains, apply the step, and compare."""
     if stand.turned is not None:
         stand.await_rest(STEP)
-    found, turned = stand.found, stand.turned.dragged if stand.turned is not None else None
-    settings = gains.settings(found, None if turned is None else turned.n_p, stand.limits)
+    found, n_p = stand.found, None if stand.turned is None else stand.turned.n_p
+    settings = gains.settings(found, n_p, stand.limits)
     R, L, bandwidth = stand.R, found["L_d_half"].value, settings["bw_current"]
     stand.compensate(L, bandwidth)
     half = max(round(CONSTANTS / (math.tau * bandwidth) / stand.T), 8)

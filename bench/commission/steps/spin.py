@@ -1,9 +1,11 @@
-"""Step 5: the shaft is spun on the encoder, both ways, and coasts with the outputs off.
+"""Step 5: the shaft is spun on the encoder, both ways, and coasts with the outputs off; without one on Hall sensors.
 
 It accelerates by a q current that takes it to the top within about half a second, at most to the agreed speed and to
 the speed that takes a share of the voltage. There a d current flows, one sign after the other, which makes no torque.
 Then the outputs go off and it coasts: nothing brakes it, because a DC link without a resistor has no place for its
 energy.
+
+Without an encoder the d current flows at a lower speed, too: edges that are seen late lie elsewhere there.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from bench.commission.analysis import by_edges
 from bench.commission.refusal import Refused
 from bench.commission.stand import Stand
 from bench.commission.window import Window
@@ -33,6 +36,12 @@ GROWS = 0.02
 """Of the speed, that it gains meanwhile: it accelerates."""
 TOP = 0.6
 """Of the linear voltage, that the top speed takes."""
+LOWER = 0.45
+"""Of the top, a speed at which a d current flows, too, where Hall edges are all that tells the angle."""
+RECENT = 0.25
+"""s of Hall edges that tell the speed,"""
+SILENT, CLEAR = math.pi, 100.0
+"""rad without an edge, and rad/s, electrical, that the shaft had: with a current its edges are missed."""
 WITHIN = 0.9
 """Of the agreed speed."""
 SECONDS = 0.4
@@ -51,7 +60,9 @@ AHEAD = 2.0
 FIRST_LOOKS = 5
 """Looks at the shaft under each current of the first try."""
 ALONG, PAIRS = 0.08, 3
-"""s of a d current of each sign, and how many of each."""
+"""s of a d current of each sign, and how many of each;"""
+ALONG_TURNS, MOST_ALONG = 4.0, 0.2
+"""and without an encoder electrical turns at least, and s at most."""
 HEAVY, TORQUE = 0.3, 0.04
 """Of the largest current to accelerate with, from which a rotor is heavy enough for s of all of it at the top."""
 ENDS = 0.12
@@ -62,17 +73,33 @@ TRIP = 1.05
 """Times the agreed speed at which the drive itself trips meanwhile."""
 
 
+@dataclass(frozen=True)
+class Look:
+    """A moment of the shaft."""
+
+    window: Window
+    speed: float
+    """rad/s, electrical."""
+
+
 @dataclass
 class Spin:
-    """The manoeuvre: what it has taken so far, on a drive whose encoder and pole pairs are known."""
+    """The manoeuvre: what it has taken so far, on a drive whose encoder, or Hall sensors, are known."""
 
     stand: Stand
     n_p: int
+    """Pole pairs; 1 where nobody knows them, which makes it turn the slower."""
     friction: float
     """A of q current that the shaft takes at the slowest."""
     windows: list[Window] = field(default_factory=list)
     fastest: float = 0.0
-    """rad/s, electrical, that was seen."""
+    """rad/s, electrical, that was seen,"""
+    now: float = 0.0
+    """and at the last look."""
+    began: float = 0.0
+    """rad/s, electrical, at which this lap began."""
+    goal: float = math.inf
+    """rad/s, electrical, to which it accelerates, if that is less than the limits allow."""
     slope: float = 0.0
     """rad/s2, electrical, of the last acceleration,"""
     took: float = 0.0
@@ -90,13 +117,33 @@ class Spin:
 
     # -- looks --------------------------------------------------------------------------------------------------
 
-    def look(self) -> Window:
-        """The next of it, and how fast it was."""
-        seen = self.stand.look(LOOK)
-        self.fastest = max(self.fastest, abs(speed(seen)))
-        return seen
+    @property
+    def blind(self) -> bool:
+        """Whether there is no encoder."""
+        return self.stand.turned is None or self.stand.turned.dragged is None
 
-    def watch(self, seconds: float) -> tuple[list[Window], bool]:
+    def look(self) -> Look:
+        """The next of it, and how fast it was. Refused where a current flows and the edges of Hall sensors stop."""
+        window = self.stand.look(LOOK)
+        self.now = self._by_edges(window.i_ref) if window.theta is None else speed(window)
+        self.fastest = max(self.fastest, abs(self.now))
+        return Look(window, self.now)
+
+    def _by_edges(self, asked: complex) -> float:
+        """rad/s, electrical, while this current is asked for."""
+        turned = self.stand.turned
+        if turned is None or turned.hall is None or turned.hall.edges is None:
+            raise Refused(STEP, "nothing tells the speed of the shaft")
+        w, silent = by_edges.speed(self.stand.recent_edges(RECENT), turned.hall.edges, self.stand.T)
+        driven = asked and asked.imag * self.now >= 0.0
+        if driven and silent > SILENT and abs(self.now) > CLEAR:
+            raise Refused(
+                STEP, f"no Hall edge came any more of a shaft that turned at {abs(self.now):.0f} rad/s (electrical): "
+                "a Hall sensor has lost its supply or its wire, or something holds the shaft"
+            )  # fmt: skip
+        return w
+
+    def watch(self, seconds: float) -> tuple[list[Look], bool]:
         """Looks for so long, or until it is as fast as it may be, or will be before a command can end it.
 
         The looks, and whether that was the end. Refused for a shaft that turns against its torque.
@@ -104,16 +151,19 @@ class Spin:
         seen = [self.look()]
         while not (top := self.at_the_top(seen)) and _apart(seen) + LOOK < seconds:
             seen.append(self.look())
-            i_q = seen[-1].i_ref.imag
-            if i_q and speed(seen[-1]) * math.copysign(1.0, i_q) < -0.1 * self.limit:
-                raise Refused(STEP, "the shaft turns against its torque: the encoder has slipped, or is wrong")
+            i_q = seen[-1].window.i_ref.imag
+            way = math.copysign(1.0, i_q)
+            if i_q and way * self.now < min(way * self.began, 0.0) - 0.1 * self.limit:
+                sensor = "the Hall sensors are" if self.blind else "the encoder has slipped, or is"
+                raise Refused(STEP, f"the shaft turns against its torque: {sensor} wrong")
         return seen, top
 
-    def at_the_top(self, seen: list[Window]) -> bool:
+    def at_the_top(self, seen: list[Look]) -> bool:
         """Whether it will be as fast as it may be when the next looks have been taken."""
-        last = speed(seen[-1])
-        gains = abs(last - speed(seen[-2])) if len(seen) > 1 else 0.0
-        return abs(_voltage(seen[-1])) > TOP * self.stand.u_linear or abs(last) + AHEAD * gains > self.limit
+        last = seen[-1].speed
+        gains = abs(last - seen[-2].speed) if len(seen) > 1 else 0.0
+        volts = abs(_voltage(seen[-1].window))
+        return volts > TOP * self.stand.u_linear or abs(last) + AHEAD * gains > min(self.limit, self.goal)
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -124,15 +174,21 @@ class Spin:
             seen, reached = self.watch(LONGEST if abs(i_q) >= self.most else PATIENCE)
             self.stand.current(0.0, 0.0)
         self.slope, self.took = abs(_slope(seen)), _apart(seen)
-        self.windows.append(replace(taken.window, i_ref=complex(0.0, i_q)).until(seen[-1]))
+        self.windows.append(replace(taken.window, i_ref=complex(0.0, i_q)).until(seen[-1].window))
         return reached
 
     def hold(self, i_d: float, i_q: float, seconds: float, kind: str) -> None:
         """A current for so long. The window is kept."""
         self.stand.current(i_d, i_q)
         with self.stand.stretch(kind) as taken:
-            self.stand.wait(seconds)
+            if not self.blind:
+                self.stand.wait(seconds)
+            for _ in range(round(seconds / LOOK) if self.blind else 0):
+                self.stand.wait(LOOK)
+                self.now = self._by_edges(complex(i_d, i_q))
         self.windows.append(taken.window)
+        if not self.blind:
+            self.now = speed(taken.window.last(LOOK))
 
     def first_torque(self) -> float:
         """A of q current that takes it to the top in SECONDS: by a small one that grows until the shaft turns."""
@@ -140,13 +196,13 @@ class Spin:
         for _ in range(TRIES):
             self.stand.current(0.0, i_q)
             seen, top = self.watch(FIRST_LOOKS * LOOK)
-            w0, w1 = speed(seen[0]), speed(seen[-1])
+            w0, w1 = seen[0].speed, seen[-1].speed
             if (w1 > TURNS and w1 - w0 > GROWS * w1) or top:
                 break
             i_q = min(i_q * (MORE if w1 < TURNS else SLIGHTLY_MORE), self.most)
         else:
             raise Refused(STEP, "the shaft does not turn on the encoder: a load is attached, or it binds")
-        voltage = _voltage(seen[-1])
+        voltage = _voltage(seen[-1].window)
         slope = max(_slope(seen), 1.0)
         back_emf = max(voltage.imag - self.stand.R * i_q, 0.3 * abs(voltage), 1e-6)
         goal = min(TOP * self.stand.u_linear * w1 / back_emf, self.limit)
@@ -154,56 +210,72 @@ class Spin:
         wanted = accelerating * goal / SECONDS / slope + self.friction
         return float(np.clip(wanted, min(OVER_FRICTION * self.friction + 0.02 * self.most, self.most), self.most))
 
-    def lap(self, way: float, i_q: float, first: bool) -> tuple[float, float]:
+    def lap(self, way: float, i_q: float, number: int) -> tuple[float, float]:
         """To the top and down again; the q current that it took, A, and s of the coast."""
+        self.began = self.now
         with self.stand.running(STEP, None):
-            while not self.accelerate(way * i_q):
-                if i_q >= self.most:
-                    raise Refused(
-                        STEP, f"the shaft does not reach the speed with {self.most:.3g} A within {LONGEST:g} s: a load "
-                        "is attached, friction is high, or the encoder has slipped"
-                    )  # fmt: skip
-                i_q = min(2.0 * i_q, self.most)
-            if self.took > SLOW * SECONDS:
-                i_q = min(2.0 * i_q, self.most)  # from the next one on
-            top = abs(speed(self.windows[-1].last(LOOK)))
-            if first:
+            if number == 1 and self.blind:
+                self.goal = LOWER * self.fastest
+                i_q = self.reach(way, i_q)
+                self.along_d()
+                self.goal = math.inf
+            i_q = self.reach(way, i_q)
+            top = abs(self.now)
+            if number == 0:
                 self.top(way, i_q)
         return i_q, self.coast(top)
 
+    def reach(self, way: float, i_q: float) -> float:
+        """Accelerate to the top, with more current where it takes too long; A that the next one should have."""
+        while not self.accelerate(way * i_q):
+            if i_q >= self.most:
+                sensor = "or the Hall sensors are wrong" if self.blind else "or the encoder has slipped"
+                raise Refused(
+                    STEP, f"the shaft does not reach the speed with {self.most:.3g} A within {LONGEST:g} s: a load "
+                    f"is attached, friction is high, {sensor}"
+                )  # fmt: skip
+            i_q = min(2.0 * i_q, self.most)
+        return min(2.0 * i_q, self.most) if self.took > SLOW * SECONDS else i_q
+
     def top(self, way: float, i_q: float) -> None:
         """A d current of both signs, and a torque for a moment where the rotor is heavy."""
+        self.along_d()
+        gains = self.slope * self.most / i_q * (TORQUE + AHEAD * LOOK)
+        if i_q > HEAVY * self.most and abs(self.now) + gains < self.limit:
+            self.hold(0.0, way * self.most, TORQUE, "q")
+
+    def along_d(self) -> None:
+        """A d current of both signs, some times."""
         for _ in range(PAIRS):
             for sign, kind in ((1.0, "d+"), (-1.0, "d-")):
-                self.hold(sign * self.most, 0.0, ALONG, kind)
-        gains = self.slope * self.most / i_q * (TORQUE + AHEAD * LOOK)
-        if i_q > HEAVY * self.most and abs(speed(self.windows[-1].last(LOOK))) + gains < self.limit:
-            self.hold(0.0, way * self.most, TORQUE, "q")
+                turns = ALONG_TURNS * math.tau / max(abs(self.now), 1.0) if self.blind else 0.0
+                self.hold(sign * self.most, 0.0, min(max(ALONG, turns), MOST_ALONG), kind)
 
     def coast(self, top: float) -> float:
         """Outputs off until it is slow; s that it took."""
         with self.stand.stretch("off") as taken:
             seen = [self.look()]
-            while _apart(seen) < LONGEST_COAST and abs(speed(seen[-1])) > ENDS * top:
+            while _apart(seen) < LONGEST_COAST and abs(self.now) > ENDS * top:
                 seen = [seen[0], self.look()]
         self.windows.append(taken.window)
         return taken.window.seconds
 
 
 def speed(window: Window) -> float:
-    """rad/s, electrical, in the mean."""
+    """rad/s, electrical, in the mean, by the encoder."""
     theta = unwrapped(np.asarray(window.theta))
     return float(theta[-1] - theta[0]) / (window.T * max(len(theta) - 1, 1))
 
 
-def _apart(seen: list[Window]) -> float:
+def _apart(seen: list[Look]) -> float:
     """s from the first look to the last."""
-    return float(seen[-1].index[-1] - seen[0].index[-1]) * seen[0].T
+    first, last = seen[0].window, seen[-1].window
+    return float(last.index[-1] - first.index[-1]) * first.T
 
 
-def _slope(seen: list[Window]) -> float:
+def _slope(seen: list[Look]) -> float:
     """rad/s2, electrical, between them."""
-    return (speed(seen[-1]) - speed(seen[0])) / max(_apart(seen), seen[0].seconds)
+    return (seen[-1].speed - seen[0].speed) / max(_apart(seen), seen[0].window.seconds)
 
 
 def _voltage(window: Window) -> complex:
@@ -214,8 +286,11 @@ def spin(stand: Stand) -> Spin:
     """Spin it both ways. Raises Refused where it may not be spun, and where it does not get there."""
     stand.require_every_period(STEP)
     turned = stand.turned
-    if turned is None or turned.dragged is None:
-        raise Refused(STEP, "without an encoder the shaft is not spun: flux, inertia and friction are not claimed")
+    if turned is None or (turned.dragged is None and turned.hall is None):
+        raise Refused(
+            STEP, "there are neither an encoder nor Hall sensors that the drive could run on: flux, inertia, friction "
+            "and edges are not claimed"
+        )  # fmt: skip
     if turned.first:
         raise Refused(STEP, f"not spun, because {turned.first}")
     if not math.isfinite(stand.rpm) or stand.rpm <= 0.0:
@@ -223,7 +298,7 @@ def spin(stand: Stand) -> Spin:
     drive = stand.rig.drive
     if "omega_m_trip" in drive.parameters:
         stand.set(omega_m_trip=min(drive.parameters["omega_m_trip"] or math.inf, TRIP * stand.rpm * RPM))
-    made = Spin(stand, turned.dragged.n_p, turned.dragged.share * SHARE * stand.i_max)
+    made = Spin(stand, turned.n_p or 1, turned.share * SHARE * stand.i_max)
     with stand.running(STEP, None):
         i_q = made.first_torque()
     made.coast(max(made.fastest, TURNS))
@@ -231,7 +306,7 @@ def spin(stand: Stand) -> Spin:
     for way in (1.0, -1.0):
         lap, coasted = 0, 0.0
         while lap < LAPS or (coasted < COAST and lap < MOST_LAPS):
-            i_q, seconds = made.lap(way, i_q, lap == 0)
+            i_q, seconds = made.lap(way, i_q, lap)
             coasted += seconds
             lap += 1
     return made

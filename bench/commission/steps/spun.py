@@ -2,7 +2,7 @@
 rotor.
 
 What the encoder was taken for when it was dragged has to hold under torque, too: a zero that has moved is a disc that
-slips.
+slips. Without an encoder the back-EMF tells flux and Hall edges, and the edges the shaft's motion.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from bench.commission.analysis import by_edges
 from bench.commission.analysis.back_emf import UNKNOWN_LATE, flux_by_back_emf
-from bench.commission.analysis.edges import HallEdges, hall_edges
+from bench.commission.analysis.edges import HallEdges, edges_by_back_emf, hall_edges
 from bench.commission.analysis.flux import Flux, flux
 from bench.commission.analysis.mechanics import Mechanics, mechanics
+from bench.commission.analysis.stretches import merged
 from bench.commission.outcome import Evidence, Outcome, Panel
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
@@ -43,20 +45,27 @@ class Spun:
     """What came of it."""
 
     flux: Flux
+    """Without an encoder its angle is 0, and not told."""
     motion: Mechanics | None = None
     edges: HallEdges | None = None
     inductances: inductance.Inductances | None = None
     blind: Quantity | None = None
     """Psi without the encoder, beside."""
+    pole_pairs: bool = True
+    """Whether they are known: else inertia and friction are those of a shaft with one, and not told."""
     refused: list[Refused] = field(default_factory=list)
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """All of it."""
         of = self.flux
-        told: list[Quantity | None] = [of.psi, of.L_d, of.L_q, of.zero, of.delay]
+        told: list[Quantity | None] = [of.psi]
+        if of.fitted is not None:
+            told += [of.L_d, of.L_q, of.zero, of.delay]
+        if self.motion is not None and self.pole_pairs:
+            told += [self.motion.J, self.motion.b, self.motion.friction, *self.motion.each_way]
         if self.motion is not None:
-            told += [self.motion.J, self.motion.b, self.motion.friction, *self.motion.each_way, self.motion.late]
+            told.append(self.motion.late)
         if self.edges is not None:
             told += [self.edges.ring, self.edges.delay, *self.edges.up, *self.edges.down]
         if self.inductances is not None:
@@ -70,15 +79,51 @@ def perform(stand: Stand) -> Outcome:
     """Spin it, and tell stand and drive what follows."""
     made = spin(stand)
     windows = [replace(window, i=window.i / stand.gains[:, None]) for window in made.windows]
-    found = analyse(stand, made, windows)
+    found = analyse(stand, made, windows) if not made.blind else _without_encoder(stand, made, windows)
+    if made.blind and found.edges is not None:
+        windows = _with_angles(windows, found.edges)
     outcome = Outcome(
         found.quantities, Evidence("The shaft spun both ways, and coasting", _panels(windows, found, made.n_p), {
             "fastest": made.fastest, "windows": float(len(windows)),
             "seconds": sum(window.seconds for window in windows),
         }), refused=tuple(found.refused),
     )  # fmt: skip
-    stand.set(encoder_zero=found.flux.zero.value)
+    if not made.blind:
+        stand.set(encoder_zero=found.flux.zero.value)
     return outcome
+
+
+def _without_encoder(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
+    """What back-EMF and Hall edges tell; Refused where the flux is not told."""
+    assert stand.turned is not None
+    R, L_q = stand.found["R_s"], stand.found["L_q"]
+    nothing = Quantity("encoder_delay", "s", 0.0)
+    in_time = Quantity("current_delay", "s", 0.0)
+    psi = flux_by_back_emf(windows, R, L_q, in_time)
+    found = Spun(Flux(psi, stand.found["L_d_half"], None, replace(nothing, unit="rad"), nothing, 0.0, 0.0))
+    found.pole_pairs = stand.turned.n_p is not None
+    try:
+        found.edges = edges_by_back_emf(windows, R, L_q)
+        turning = _with_angles(windows, found.edges)
+        found.motion = mechanics(turning, found.flux, R, L_q, made.n_p, _falls(stand, L_q.value), UNKNOWN_LATE)
+        found.flux = found.motion.flux
+        found.inductances = _inductances(stand, found.motion, made.n_p)
+        if found.pole_pairs:
+            found.refused += found.motion.refused
+        else:
+            found.refused.append(
+                Refused("mechanics", "inertia and friction are not claimed: they need the pole pairs (--pole-pairs N)")
+            )
+    except Refused as refused:
+        found.refused.append(refused)
+    if found.motion is None:
+        found.flux = replace(found.flux, psi=flux_by_back_emf(windows, R, L_q))
+    return found
+
+
+def _with_angles(windows: Sequence[Window], edges: HallEdges) -> list[Window]:
+    """Windows that follow each other as one, each with the flux's angle by its edges."""
+    return [by_edges.with_angle(window, edges) for window in merged(windows)]
 
 
 def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
@@ -96,8 +141,7 @@ def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
             "encoder slips on the shaft, or loses counts"
         )  # fmt: skip
     try:
-        falls = (1.0 - stand.found["L_q_half"].value / L_q.value) / (inductance.MIDDLE * stand.i_max)
-        found.motion = mechanics(windows, found.flux, R, L_q, n_p, falls)
+        found.motion = mechanics(windows, found.flux, R, L_q, n_p, _falls(stand, L_q.value))
         found.flux = found.motion.flux
         found.refused += found.motion.refused
     except Refused as refused:
@@ -116,6 +160,11 @@ def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
     return found
 
 
+def _falls(stand: Stand, L_q: float) -> float:
+    """1/A: the share by which a d current lessens L_q."""
+    return (1.0 - stand.found["L_q_half"].value / L_q) / (inductance.MIDDLE * stand.i_max)
+
+
 def _edges(stand: Stand, of: Flux, n_p: int, direction: int, windows: Sequence[Window]) -> HallEdges:
     lines = int(stand.rig.drive.parameters.get("encoder_lines", 0))
     return hall_edges(windows, of, n_p, 4 * lines * direction, step=1.0 / stand.rig.recorder.tick_hz)
@@ -131,9 +180,10 @@ def _inductances(stand: Stand, motion: Mechanics, n_p: int) -> inductance.Induct
 
 def _panels(windows: Sequence[Window], found: Spun, n_p: int) -> tuple[Panel, ...]:
     panels = [Panel("time", "s", "speed of the shaft", "rad/s", _speeds(windows, n_p))]
-    residuals = found.flux.fitted.residuals
-    of_flux = {"voltage across, parts with a d current": (np.arange(len(residuals), dtype=float), 1e3 * residuals)}
-    panels.append(Panel("part", "", "residuals", "mV", of_flux))
+    if found.flux.fitted is not None:
+        residuals = found.flux.fitted.residuals
+        of_flux = {"voltage across, parts with a d current": (np.arange(len(residuals), dtype=float), 1e3 * residuals)}
+        panels.append(Panel("part", "", "residuals", "mV", of_flux))
     if found.motion is not None:
         told = found.motion.moments.omega
         some = slice(None, None, 1 + len(told) // POINTS)
@@ -154,7 +204,7 @@ def _speeds(windows: Sequence[Window], n_p: int) -> dict[str, tuple[Floats, Floa
     start = int(windows[0].index[0])
     series: dict[str, tuple[list[Any], list[Any]]] = {"driven": ([], []), "coasting": ([], [])}
     total = sum(len(window) for window in windows)
-    for window in windows:
+    for window in (each for each in windows if each.theta is not None):
         step = max(8, total // SHOWN)
         theta = unwrapped(np.asarray(window.theta))[::step]
         t, w = series["coasting" if window.kind == "off" else "driven"]

@@ -8,6 +8,7 @@ direction and rough zero, and how the Hall sensors are wired and where they sit;
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from bench.commission.outcome import Evidence, Outcome, Panel
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.stand import Stand, Turned
+from bench.commission.steps.without_encoder import counted_by_hand, run_on_halls
 from bench.commission.window import Floats, Window
 from bench.findings.finding import Finding
 from bench.rig.envelope import Envelope
@@ -68,13 +70,52 @@ def perform(stand: Stand) -> Outcome:
         stand.current(0.0)
         stand.wait(0.02)
     lines = int(stand.rig.drive.parameters.get("encoder_lines", 0))
-    outcome, stand.turned = analyse(up, down, lines, current, stand.i_max)
-    found = stand.turned.dragged
-    if found is not None:
-        if found.direction < 0 and not stand.rig.drive.node.has_parameter("encoder_reverse"):
-            raise Refused(STEP, "the encoder counts backwards: exchange its tracks A and B")
-        stand.set(**outcome.settings, encoder_zero=found.zero.value)
+    outcome, turned = analyse(up, down, lines, current, stand.i_max)
+    found = turned.dragged
+    if found is None:
+        psi = dragged.rough_flux([up, down], stand.L, current)
+        outcome, stand.turned = _blind(stand, outcome, turned, psi)
+        return outcome
+    if found.direction < 0 and not stand.rig.drive.node.has_parameter("encoder_reverse"):
+        raise Refused(STEP, "the encoder counts backwards: exchange its tracks A and B")
+    stand.set(**outcome.settings, encoder_zero=found.zero.value)
+    if stand.pole_pairs not in (None, found.n_p):
+        words = (
+            f"the encoder shows {found.n_p} pole pairs, and {stand.pole_pairs} were told: the number is wrong, or the "
+            f"encoder's lines are not {lines or 'as the drive has them'}"
+        )
+        outcome = replace(outcome, refused=(*outcome.refused, Refused(STEP, words)))
+        turned = replace(turned, first=turned.first or words)
+    stand.turned = turned
     return outcome
+
+
+def _blind(stand: Stand, outcome: Outcome, turned: Turned, psi: float) -> tuple[Outcome, Turned]:
+    """Without an encoder: the drive on its Hall sensors as they are wired, and the pole pairs as a person knows them.
+
+    `psi`: V s, rough.
+    """
+    quantities, refused, settings = [*outcome.quantities], [*outcome.refused], {**outcome.settings}
+    remarks, n_p = [*outcome.remarks], stand.pole_pairs
+    try:
+        if turned.hall is not None:
+            settings |= (wiring := run_on_halls(stand, turned.hall, psi))
+            if any(stand.rig.drive.parameters.get(name, 0.0) != 0.0 for name in wiring):
+                told = ", ".join(f"{name} = {value:g}" for name, value in wiring.items())
+                remarks.append(f"edges are of the Hall sensors as they are wired now, with {told}")
+            if n_p is None and stand.by_hand:
+                quantities.append(ratio := counted_by_hand(stand))
+                n_p = round(ratio.value)
+    except Refused as nothing:
+        refused.append(nothing)
+        turned = turned if nothing.step != "spin" else replace(turned, hall=None)
+    if n_p is None:
+        refused.append(Refused(STEP, "pole pairs are not claimed: without an encoder name them with --pole-pairs N"))
+    else:
+        settings["n_p"] = float(n_p)
+        stand.set(n_p=float(n_p))
+    more = replace(outcome, quantities=tuple(quantities), refused=tuple(refused), remarks=tuple(remarks))
+    return replace(more, settings=settings), replace(turned, n_p=n_p)
 
 
 def _speed(stand: Stand) -> float:
@@ -120,21 +161,23 @@ def analyse(up: Window, down: Window, lines: int, current: float, i_max: float) 
         settings |= {"n_p": float(found.n_p), "encoder_reverse": float(direction == -1)}
         if heavy := hall_order.heavy(found.share, current, i_max):
             findings.append(heavy)
-    else:
-        refused.append(
-            Refused(
-                STEP, "pole pairs are not claimed: without an encoder the angle that drags the shaft is all there is"
-            )
-        )
+    share = 0.0 if found is None else found.share
     try:
         order = hall_order.hall_order([up], [down])
+        if found is None:
+            share = abs(math.sin(order.lag))
+            if heavy := hall_order.heavy(share, current, i_max):
+                findings.append(heavy)
         findings += hall_order.verdicts(order, direction)
     except Refused as nothing:
         refused.append(nothing)
     told = [each for each in findings if each.code != "encoder_reversed"]
     remarks += [f"{each.line}; {each.advice}" for each in findings if each.code == "encoder_reversed"]
     refused += [Refused(STEP if each.code in FIRST else hall_order.STEP, _sentence(each)) for each in told]
-    wrong = [each for each in told if each.code != "heavy"]
+    # without an encoder the drive is to run on these sensors: it is told how they are wired
+    fine = ("heavy",) if found is not None else ("heavy", "wiring")
+    wrong = [each for each in told if each.code not in fine]
+    usable = order if order is not None and order.edges is not None and not wrong else None
     if order is not None and not wrong:
         if order.edges is not None:
             quantities += [order.edges.ring, *order.edges.up, *order.edges.down]
@@ -145,7 +188,7 @@ def analyse(up: Window, down: Window, lines: int, current: float, i_max: float) 
     figures = {"in_order": math.nan if order is None else order.in_order, "current": current}
     evidence = Evidence("The shaft dragged by a d current, both ways", _panels(up, down, found), figures)
     outcome = Outcome(tuple(quantities), evidence, tuple(remarks), tuple(refused), settings)
-    return outcome, Turned(found, order if order is not None and not wrong else None, first)
+    return outcome, Turned(found, usable, first, None if found is None else found.n_p, share)
 
 
 def _sentence(finding: Finding) -> str:

@@ -51,7 +51,7 @@ def made(name: str, hard: bool, **overrides: Any) -> MadeBench:
     return _bench(name, hard, {key.replace("__", "."): value for key, value in overrides.items()})
 
 
-def drawn(name: str, seed: int, hard: bool = True, rare: bool = False) -> MadeBench:
+def drawn(name: str, seed: int, hard: bool = True, rare: bool = False, encoder: bool = True) -> MadeBench:
     """A bench of which all that is to be found is drawn around the motor's figures.
 
     `rare`: with effects that the equations of a commissioning do not have.
@@ -65,7 +65,7 @@ def drawn(name: str, seed: int, hard: bool = True, rare: bool = False) -> MadeBe
         "mechanics.J": (J := base.mechanics.J * u(0.3, 1.5)), "mechanics.theta_0_deg": u(0, 360),
         "inverter.dead_time": u(0.5e-6, 1.5e-6), "encoder.offset_deg": u(-179, 179),
         "mechanics.b": base.mechanics.b * u(0.5, 2.0), "hall.delta_deg": [float(x) for x in u(-9, 9, 6)],
-        "hall.offset_deg": float(rng.choice([0.0, 120.0, -120.0, 180.0, 47.0])),
+        "hall.offset_deg": float(rng.choice([0.0, 120.0, -120.0, 180.0, 47.0])), "encoder.present": int(encoder),
     }  # fmt: skip
     if hard:
         effects = unkind(base)

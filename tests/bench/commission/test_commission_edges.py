@@ -154,3 +154,26 @@ def test_without_an_encoder_edges_are_where_the_back_emf_has_them() -> None:
     assert np.median(np.abs(off)) < 0.15
     with pytest.raises(Refused, match="in reverse in fewer than 3 parts"):
         edges_by_back_emf(windows[:2], R, L_q, delay)
+
+
+def test_without_an_encoder_the_delay_is_told_by_two_speeds_and_by_what_is_usual() -> None:
+    found, want, delays, late = [], [], [], []
+    for seed in range(5):
+        bench, _, i_max = draw(50 + seed, U=0.1, noise=0.02)
+        motor = bench.motor
+        top = min(0.5 * 13.8 / motor.psi, 2000.0)
+        windows = [
+            replace(w, theta=None) for part in (1.0, 0.4) for w in along_d(bench, 0.5 * i_max, part * top, held=0.1)
+        ]
+        R = Quantity("R_s", "ohm", motor.R, {"noise": 1e-3 * motor.R})
+        L_q = Quantity("L_q", "H", motor.L_q, {"noise": 3e-3 * motor.L_q})
+        told = edges_by_back_emf(windows, R, L_q)
+        found += both(told, bench.drive.ring)
+        want += [value for way in truth(bench) for value in way]
+        assert told.delay is not None
+        delays.append(told.delay)
+        late.append(bench.drive.hall_delay)
+    inside(found, want)
+    inside(delays, late)
+    with pytest.raises(Refused, match="turn slower too, to tell their delay"):
+        edges_by_back_emf(windows[:4], R, L_q)
