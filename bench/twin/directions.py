@@ -1,0 +1,74 @@
+"""Least squares that know what the data do not tell: directions without information keep the value they began with.
+
+Unknowns are counted in units of a `scale`, by which each is worth knowing. The equations tell a direction if its
+standard deviation is less than that; along every other one the start stays as it is, and the direction is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.commission.least_squares import Fit
+from bench.commission.window import Floats
+
+PART = 0.4
+"""Share from which an unknown is named as part of a direction."""
+KEPT = 0.5
+"""Share of an unknown's square that lies in directions that nothing tells, from which on it is not told itself."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What equations tell of unknowns, shape (k,)."""
+
+    x: Floats
+    sd: Floats
+    """By the scatter of what is left, neighbours that resemble each other counted; 0 of what is not told at all."""
+    known: tuple[bool, ...]
+    """Whether each was told, and not kept."""
+    untold: tuple[tuple[str, ...], ...]
+    """Directions that nothing tells: the unknowns that are in each, the largest share first."""
+    residuals: Floats
+    """y - A x, shape (n,)."""
+
+
+def solved(
+    A: Floats,
+    y: Floats,
+    start: Floats,
+    scale: Floats,
+    names: Sequence[str],
+    each: int = 1,
+    weights: Floats | None = None,
+) -> Told:
+    """Minimise the squares of weights (y - A x), A of shape (n, k), from `start`; `scale`: see the module.
+
+    `each`: so many rows belong together and follow each other in the order of time. Fewer rows than unknowns: all is
+    kept.
+    """
+    n, k = A.shape
+    w = np.ones(n) if weights is None else weights
+    if n <= k:
+        return Told(start, np.zeros(k), (False,) * k, tuple((name,) for name in names), y - A @ start)
+    scaled, target = A * scale * w[:, None], (y - A @ start) * w
+    U, s, Vt = np.linalg.svd(scaled, full_matrices=False)
+    along = U.T @ target
+    full = target - U @ along
+    sigma = float(np.sqrt(full @ full / (n - k)))
+    spread = sigma * max(Fit(start, np.zeros((k, k)), full[part::each]).inflation() for part in range(each))
+    told = s > spread
+    inverse = np.where(told, 1.0 / np.where(told, s, 1.0), 0.0)
+    x = start + scale * (Vt.T @ (inverse * along))
+    sd = scale * np.sqrt((Vt.T**2) @ (inverse * spread) ** 2)
+    lost = (Vt[~told] ** 2).sum(axis=0) if (~told).any() else np.zeros(k)
+    untold = tuple(_named(row, names) for row in Vt[~told])
+    known = lost < KEPT
+    return Told(x, np.where(known, sd, 0.0), tuple(known.tolist()), untold, y - A @ x)
+
+
+def _named(direction: Floats, names: Sequence[str]) -> tuple[str, ...]:
+    order = np.argsort(-np.abs(direction))
+    return tuple(names[k] for k in order if abs(direction[k]) > PART)
