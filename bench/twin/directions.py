@@ -69,6 +69,33 @@ def solved(
     return Told(x, np.where(known, sd, 0.0), tuple(known.tolist()), untold, y - A @ x)
 
 
+def spread(
+    A: Floats,
+    y: Floats,
+    told: Told,
+    scale: Floats,
+    names: Sequence[str],
+    by: Sequence[Floats],
+    each: int = 1,
+    weights: Floats | None = None,
+) -> Floats:
+    """What the unknowns differ by, sd, shape (k,), where a model does not have the shape of what it is fitted to.
+
+    Half of what those of the smaller half and of the larger half of each of `by`, shape (n,), differ by, beyond noise.
+    """
+    total = np.zeros(len(scale))
+    for size in by:
+        halves = []
+        for half in (size <= np.median(size), size > np.median(size)):
+            own = None if weights is None else weights[half]
+            halves.append(solved(A[half], y[half], told.x, scale, names, each, own))
+        differ = 0.5 * np.abs(halves[1].x - halves[0].x)
+        noise = 0.5 * np.hypot(halves[0].sd, halves[1].sd)
+        both = np.array(halves[0].known) & np.array(halves[1].known) & np.array(told.known)
+        total += np.where(both, np.maximum(differ**2 - noise**2, 0.0), 0.0)
+    return np.sqrt(total)
+
+
 def _named(direction: Floats, names: Sequence[str]) -> tuple[str, ...]:
     order = np.argsort(-np.abs(direction))
     return tuple(names[k] for k in order if abs(direction[k]) > PART)

@@ -26,10 +26,14 @@ from protocol import __version__
 from sim.ports.direct import nominal
 
 FLOORS = {
-    "R_s": 3e-3, "L_d": 8e-3, "L_q": 4e-3, "psi_f": 1e-3, "dead_time": 5e-3, "J": 2e-3, "b": 6e-3, "tau_coulomb": 6e-3,
+    "R_s": (3e-3, 8e-3), "L_d": (8e-3, 4e-2), "L_q": (4e-3, 3e-2), "psi_f": (1e-3, 4e-3), "dead_time": (5e-3, 6e-2),
+    "i_smooth": (2e-2, 0.2), "J": (3.5e-3, 3.5e-3), "b": (6e-3, 6e-3), "tau_coulomb": (6e-3, 6e-3),
 }  # fmt: skip
-"""Of each, sd: what the method leaves."""
-ZERO_FLOOR, DELAY_FLOOR, GAIN_FLOOR, HARMONIC_FLOOR = math.radians(0.02), 1e-6, 1.5e-3, 3e-4
+"""Of each, sd: what the method leaves where noise explains all that is left of the voltages, and where they are left
+with much more: by saturation, or a dead time of another shape."""
+MUCH = 1.7
+"""Times noise, that much more is."""
+ZERO_FLOOR, DELAY_FLOOR, GAIN_FLOOR, HARMONIC_FLOOR = math.radians(0.02), 1e-6, 2.3e-3, 3e-4
 """rad, s, and shares, sd, likewise."""
 POWERS = {
     "R_s": (1, -1), "L_d": (1, -1), "L_q": (1, -1), "psi_f": (1, 0), "J": (1, 1), "b": (1, 1), "tau_coulomb": (1, 1),
@@ -44,8 +48,11 @@ UNITS = {
     "R_s": "ohm", "L_d": "H", "L_q": "H", "psi_f": "V s", "dead_time": "s", "i_smooth": "A", "J": "kg m2",
     "b": "N m s/rad", "tau_coulomb": "N m",
 }  # fmt: skip
+COGGING_FLOOR, LATE_FLOOR = 5e-4, 1e-7
+"""Of the rated torque; s, sd."""
 SURE = 3.0
-"""Standard deviations, beyond which an encoder is believed to be late."""
+"""Standard deviations, beyond which an encoder, or a current, is believed to be late."""
+DROPS = "dead_time and u_device, the drop of the switches: only what both take together; u_device is as it was before"
 GAINS = "the gain of the DC link's voltage, and the common gain of the currents: nothing tells them from inside"
 
 
@@ -126,17 +133,28 @@ def _electrical(twin: Twin, pieces: Sequence[Stretch], figures: Mapping[str, Any
     if found is None:
         twin.untold.append("winding, inverter, shaft: the outputs were hardly on")
         return None
+    beyond = found.residual / _expected(found, figures, noise)
     for name, section in SECTIONS.items():
         if name in of_winding.NAMES and found.known(name):
-            floor = 0.02 if name == "i_smooth" else FLOORS[name]
-            twin.told.append(_value(section, name, found[name], found.sd(name), floor * abs(found[name])))
+            least, most = FLOORS[name]
+            floor = least + (most - least) * min(1.0, max(0.0, (beyond**2 - 1.0) / (MUCH**2 - 1.0)))
+            parts = found.parts(name, floor * abs(found[name]))
+            twin.told.append(_value(section, name, found[name], parts))
     _harmonics(twin, found, motor["emf_harmonics"])
-    _sensors(twin, found, figures)
+    _sensors(twin, found)
     twin.untold += [_words(names) for names in found.told.untold]
     twin.residuals["voltage equation, a millisecond's mean"] = (found.residual, "V")
     if noise is not None:
         twin.residuals["currents at rest"] = (noise, "A")
     return found
+
+
+def _expected(found: of_winding.Winding, figures: Mapping[str, Any], noise: float | None) -> float:
+    """V rms that noise of the currents and steps of the encoder leave of the voltages."""
+    count = math.tau * figures["motor"]["n_p"] / (4.0 * figures["encoder"]["pulses_per_rev"])
+    own = figures["current_sensor"]["noise_rms"] if noise is None else noise
+    flux = found["L_q"] * own * math.sqrt(8.0 / 3.0), found["psi_f"] * count / math.sqrt(6.0)
+    return 1.2 * math.hypot(*flux) / of_winding.SPAN
 
 
 def _lacks(pieces: Sequence[Stretch]) -> str:
@@ -173,21 +191,18 @@ def _at_rest(twin: Twin, pieces: Sequence[Stretch], figures: Mapping[str, Any]) 
     return offset, noise
 
 
-def _value(section: str, name: str, value: float, noise: float, method: float) -> Value:
+def _value(section: str, name: str, value: float, parts: Mapping[str, float]) -> Value:
     key, value = f"{section}.{name}", max(value, 0.0)
-    return Value(
-        key, value, (Quantity(key, UNITS[name], value, {"noise": noise, "method": method}, *POWERS.get(name, ())),)
-    )
+    return Value(key, value, (Quantity(key, UNITS[name], value, parts, *POWERS.get(name, ())),))
 
 
-def _several(
-    key: str, values: Sequence[float], sd: Sequence[float], floor: float, unit: str, told: Sequence[bool]
-) -> Value:
+def _several(key: str, values: Sequence[float], parts: Sequence[Mapping[str, float] | None], unit: str = "") -> Value:
+    """A list; `parts`: of each number, None of one that was not told."""
     powers = POWERS.get(key.rpartition(".")[2], ())
     quantities = tuple(
-        Quantity(f"{key}[{k + 1}]", unit, float(values[k]), {"noise": float(sd[k]), "method": floor}, *powers)
-        for k, yes in enumerate(told)
-        if yes
+        Quantity(f"{key}[{k + 1}]", unit, float(value), of, *powers)
+        for k, (value, of) in enumerate(zip(values, parts, strict=True))
+        if of is not None
     )
     return Value(key, [float(one) for one in values], quantities)
 
@@ -196,34 +211,31 @@ def _harmonics(twin: Twin, found: of_winding.Winding, before: Sequence[float]) -
     names = [f"emf_harmonic_{order}" for order in of_winding.ORDERS]
     if any(map(found.known, names)):
         values = [found[name] if found.known(name) else one for name, one in zip(names, before, strict=True)]
-        told = [found.known(name) for name in names]
-        twin.told.append(
-            _several("motor.emf_harmonics", values, [found.sd(name) for name in names], HARMONIC_FLOOR, "", told)
-        )
+        parts = [found.parts(name, HARMONIC_FLOOR) if found.known(name) else None for name in names]
+        twin.told.append(_several("motor.emf_harmonics", values, parts))
 
 
-def _sensors(twin: Twin, found: of_winding.Winding, figures: Mapping[str, Any]) -> None:
+def _sensors(twin: Twin, found: of_winding.Winding) -> None:
     """The encoder's place and delay, and how the gains of the current sensors differ."""
     if found.known("encoder_zero"):
         zero = found["encoder_zero"] - float(twin.values.get("firmware.encoder_zero", 0.0))  # type: ignore[arg-type]
         degrees = math.degrees(math.remainder(zero, math.tau))
-        parts = {"noise": math.degrees(found.sd("encoder_zero")), "method": math.degrees(ZERO_FLOOR)}
+        parts = {cause: math.degrees(sd) for cause, sd in found.parts("encoder_zero", ZERO_FLOOR).items()}
         twin.told.append(Value("encoder.offset_deg", degrees, (Quantity("encoder.offset_deg", "deg", degrees, parts),)))
     if late := delay(found):
-        parts = {"noise": found.sd("encoder_delay"), "method": DELAY_FLOOR}
+        parts = found.parts("encoder_delay", DELAY_FLOOR)
         twin.told.append(Value("encoder.latency", late, (Quantity("encoder.latency", "s", late, parts),)))
     if found.known("gain_a") and found.known("gain_b"):
-        sd = math.hypot(found.sd("gain_a"), found.sd("gain_b")) / math.sqrt(2.0)
-        twin.told.append(
-            _several("current_sensor.gain_error", list(found.gains()), 3 * [sd], GAIN_FLOOR, "", 3 * [True])
-        )
-    twin.untold.append(GAINS)
+        a, b = found.parts("gain_a", GAIN_FLOOR), found.parts("gain_b", GAIN_FLOOR)
+        mean = {cause: math.hypot(a[cause], b[cause]) / math.sqrt(2.0) for cause in a}
+        twin.told.append(_several("current_sensor.gain_error", list(found.gains()), [a, b, mean]))
+    twin.untold += [GAINS, DROPS]
 
 
 def delay(found: of_winding.Winding) -> float:
     """s by which the encoder is late; 0 where that is not beyond doubt."""
     late = found["encoder_delay"]
-    return late if late > SURE * math.hypot(found.sd("encoder_delay"), DELAY_FLOOR) else 0.0
+    return late if late > SURE * math.hypot(*found.parts("encoder_delay", DELAY_FLOOR).values()) else 0.0
 
 
 def _mechanical(twin: Twin, pieces: Sequence[Stretch], found: of_winding.Winding, figures: Mapping[str, Any]) -> None:
@@ -234,14 +246,29 @@ def _mechanical(twin: Twin, pieces: Sequence[Stretch], found: of_winding.Winding
     if told is None:
         twin.untold.append("J, b, tau_coulomb, cogging: the shaft hardly turned")
         return
-    share = 0.0 if not found.known("psi_f") else found.sd("psi_f") / found["psi_f"]
-    x = told.told
+    share = found.sd("psi_f") / found["psi_f"]
+    x, late = told.told, told.told.known[of_shaft.LATE]
     for k, name in enumerate(of_shaft.NAMES[:3]):
         if x.known[k]:
-            floor = math.hypot(FLOORS[name], share) * abs(float(x.x[k]))
-            twin.told.append(_value("mechanics", name, float(x.x[k]), float(x.sd[k]), floor))
-    if any(x.known[3:]):
-        twin.told.append(_several("motor.cogging", list(x.x[3:]), list(x.sd[3:]), 5e-4 * torque, "N m", x.known[3:]))
+            size = abs(float(x.x[k]))
+            parts = {
+                "noise": float(x.sd[k]), "psi": share * size, "method": FLOORS[name][0] * size,
+                "shape": float(told.shape[k]),
+            }  # fmt: skip
+            if name == "b" and not late:
+                parts["late currents"] = told.late_as_b * of_shaft.USUAL_LATE
+            twin.told.append(_value("mechanics", name, float(x.x[k]), parts))
+    if any(x.known[3:5]):
+        parts_of = [
+            {"noise": float(x.sd[k]), "method": COGGING_FLOOR * torque, "shape": float(told.shape[k])}
+            if x.known[k] else None for k in (3, 4)
+        ]  # fmt: skip
+        twin.told.append(_several("motor.cogging", list(x.x[3:5]), parts_of, "N m"))
+    own = {"noise": float(x.sd[of_shaft.LATE]), "method": LATE_FLOOR, "shape": float(told.shape[of_shaft.LATE])}
+    if late and x.x[of_shaft.LATE] > SURE * math.hypot(*own.values()):
+        value = min(float(x.x[of_shaft.LATE]), 2e-5)
+        quantity = Quantity("current_sensor.delay", "s", value, own)
+        twin.told.append(Value("current_sensor.delay", value, (quantity,)))
     twin.untold += [_words(names) for names in x.untold]
     if not told.loaded:
         twin.untold.append("a load's torque: none was recorded, and none is taken to have acted")
@@ -257,8 +284,11 @@ def _words(names: Sequence[str]) -> str:
 def _edges(twin: Twin, runs: Sequence[Run], found: of_winding.Winding | None) -> Halls | None:
     """Of the run with the most Hall edges."""
     best = max(runs, key=lambda run: run.rows(EDGES) if EDGES in run.names else 0)
-    zero, late = (0.0, 0.0) if found is None else (found["encoder_zero"], delay(found))
-    told = halls(best, zero, late)
+    if found is None:
+        told = halls(best)
+    else:
+        sd = math.hypot(*found.parts("encoder_zero", ZERO_FLOOR).values())
+        told = halls(best, found["encoder_zero"], sd, delay(found))
     if isinstance(told, str):
         twin.untold.append(f"Hall sensors: {told}")
         return None

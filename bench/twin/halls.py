@@ -21,6 +21,8 @@ from bench.twin.values import Value
 
 PLACE_FLOOR = 0.02
 """deg, sd: what an uneven disc and steps of the encoder leave in a mean."""
+JITTER_FLOOR = 0.05
+"""Of the jitter, sd."""
 LATE_FLOOR = 5e-7
 """s, sd, of how late edges come."""
 SURE = 3.0
@@ -45,7 +47,7 @@ class Halls:
     """Pole pairs by edges that repeat, where no parameter says them."""
 
 
-def halls(run: Run, zero: float, encoder_delay: float) -> Halls | str:
+def halls(run: Run, zero: float = 0.0, zero_sd: float = 0.0, encoder_delay: float = 0.0) -> Halls | str:
     """Of a run with Hall edges; `zero`, rad, and `encoder_delay`, s, of its encoder. Else why not, in words."""
     if EDGES not in run.names:
         return "no Hall edges were recorded"
@@ -59,13 +61,19 @@ def halls(run: Run, zero: float, encoder_delay: float) -> Halls | str:
         return "too few Hall edges were passed: each of the six is needed, in two turns at least"
     if inputs.inverted or (not measured.blind and not 0.9 < inputs.ratio < 1.1):
         return "Hall edges and encoder do not agree in order: mend the wiring first (bench hall check)"
-    values = [*_places(found, zero, measured.blind), *_late(found, encoder_delay, measured.blind)]
+    values = [*_places(found, zero, zero_sd, measured.blind), *_late(found, encoder_delay, measured.blind)]
     sharp = math.degrees(resolution(looked_at, measured))
     n = np.maximum(found.n, 0)
     rms = math.degrees(math.sqrt(float(np.nansum(n * found.jitter**2) / n.sum())))
     own = math.sqrt(max(rms**2 - sharp**2, 0.0))
     values.append(
-        _told("hall.jitter_deg", "deg", min(own, MOST_JITTER), rms / math.sqrt(2.0 * n.sum()), sharp**2 / rms)
+        _told(
+            "hall.jitter_deg",
+            "deg",
+            min(own, MOST_JITTER),
+            rms / math.sqrt(2.0 * n.sum()),
+            sharp**2 / rms + JITTER_FLOOR * own,
+        )
     )
     spread = math.degrees(float(found.pairs.std()))
     if found.apart and found.pairs.shape[1] > 1 and spread > SURE * rms / math.sqrt(n.sum() / found.pairs.size):
@@ -88,7 +96,7 @@ def _told(key: str, unit: str, value: float, noise: float, method: float) -> Val
     return Value(key, value, (Quantity(key, unit, value, {"noise": noise, "method": method}),))
 
 
-def _places(found: EdgeFit, zero: float, blind: bool) -> list[Value]:
+def _places(found: EdgeFit, zero: float, zero_sd: float, blind: bool) -> list[Value]:
     off = np.angle(np.exp(1j * (found.place - SECTOR_WIDTH * np.arange(SECTORS) - zero)))
     ring = 0.0 if blind else float(np.angle(np.exp(1j * off).mean()))
     delta = np.degrees(np.angle(np.exp(1j * (ring - off))))
@@ -100,7 +108,8 @@ def _places(found: EdgeFit, zero: float, blind: bool) -> list[Value]:
     values = [Value("hall.delta_deg", [float(one) for one in delta], deltas)]
     if not blind:
         own = math.sqrt(float(np.mean(sd**2)))
-        values.insert(0, _told("hall.offset_deg", "deg", math.degrees(ring), own, PLACE_FLOOR))
+        floor = math.hypot(PLACE_FLOOR, math.degrees(zero_sd))
+        values.insert(0, _told("hall.offset_deg", "deg", math.degrees(ring), own, floor))
     if np.isfinite(found.hysteresis).all():
         mean = min(max(math.degrees(float(found.hysteresis.mean())), 0.0), MOST_HYSTERESIS)
         own = math.degrees(float(np.sqrt(np.mean(found.hysteresis_sd**2)) / math.sqrt(SECTORS)))

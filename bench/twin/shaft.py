@@ -1,9 +1,10 @@
 """Shaft by its own motion: over a window, weighed by a function phi that is 0 at both ends, with its slope,
 
-    sum phi tau_e = J sum phi'' theta_m - b sum phi' theta_m + tau_c sum phi sign(omega) - cogging + load
+    sum phi tau_e = J sum phi'' theta_m - b sum phi' theta_m + tau_c sum phi sign(omega) - cogging + load - late
 
 so that the encoder's angle is never differentiated. Long windows tell inertia and friction, short ones cogging. The
-torque is that of the currents and of the magnet's flux, as the winding was found.
+torque is that of the currents and of the magnet's flux, as the winding was found. `late`: currents that are sampled
+late lack (R i_q + omega psi) / L_q times that; a shaft that coasts with the outputs off tells it from b.
 """
 
 from __future__ import annotations
@@ -15,11 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.commission.window import Floats, clarke
-from bench.twin.directions import Told, solved
+from bench.twin.directions import Told, solved, spread
 from bench.twin.samples import Stretch
 from bench.twin.winding import ORDERS, SIGNS, Winding, speed
 
-NAMES = ("J", "b", "tau_coulomb", "cogging_6", "cogging_12")
+NAMES = ("J", "b", "tau_coulomb", "cogging_6", "cogging_12", "current_delay")
+LATE = 5
+"""Of `NAMES`."""
+USUAL_LATE = 5e-7
+"""s, sd, by which currents are late where nothing tells it."""
 LONG, SHORT = 0.05, 0.006
 """s, the windows' lengths."""
 SLOW = 0.05
@@ -43,11 +48,15 @@ class Shaft:
     """What was found, by `NAMES`: kg m2, N m s/rad, N m."""
 
     told: Told
+    shape: Floats
+    """Of each, sd: what it differs by between slow and fast, and between both ways, beyond noise."""
     windows: int
     residual: float
     """N m rms, of a long window."""
     loaded: bool
     """Whether the load's torque was recorded."""
+    late_as_b: float
+    """N m s/rad by s: what currents that are late look like in b."""
 
 
 def shaft(stretches: Sequence[Stretch], start: Start, found: Winding, n_p: int, torque: float) -> Shaft | None:
@@ -61,19 +70,27 @@ def shaft(stretches: Sequence[Stretch], start: Start, found: Winding, n_p: int, 
         blocks.append((A, np.concatenate([b for _, b in rows]) if rows else np.zeros(0)))
     if min(len(y) for _, y in blocks) < LEAST:
         return None
-    x = np.array([start.J, start.b, start.tau_coulomb, *start.cogging])
+    x = np.array([start.J, start.b, start.tau_coulomb, *start.cogging, 0.0])
     scale = np.array(
-        [0.3 * start.J, max(0.5 * start.b, 1e-9), max(0.5 * start.tau_coulomb, 1e-9), *(2 * [0.01 * torque])]
+        [
+            0.3 * start.J,
+            max(0.5 * start.b, 1e-9),
+            max(0.5 * start.tau_coulomb, 1e-9),
+            *(2 * [0.01 * torque]),
+            USUAL_LATE,
+        ]
     )
     at = x
     for _ in range(2):
-        spread = [max(float(np.sqrt(np.mean((y - A @ at) ** 2))), 1e-12) for A, y in blocks]
-        weights = np.concatenate([np.full(len(y), 1.0 / s) for (_, y), s in zip(blocks, spread, strict=True)])
+        rms = [max(float(np.sqrt(np.mean((y - A @ at) ** 2))), 1e-12) for A, y in blocks]
+        weights = np.concatenate([np.full(len(y), 1.0 / one) for (_, y), one in zip(blocks, rms, strict=True)])
         A, y = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
         told = solved(A, y, x, scale, NAMES, weights=weights)
         at = told.x
     rest = blocks[0][1] - blocks[0][0] @ at
-    return Shaft(told, len(rest), float(np.sqrt(np.mean(rest**2))), any(s.load is not None for s in used))
+    shape = spread(A, y, told, scale, NAMES, (np.abs(A[:, 1]), A[:, 1]), weights=weights)
+    loaded, late_as_b = any(s.load is not None for s in used), 1.5 * (n_p * found["psi_f"]) ** 2 / found["L_q"]
+    return Shaft(told, shape, len(rest), float(np.sqrt(np.mean(rest**2))), loaded, late_as_b)
 
 
 def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> tuple[Floats, Floats]:
@@ -89,6 +106,9 @@ def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> 
     omega = speed(s.theta, s.T)
     theta = found.angle(s.theta, omega)
     torque = torques(s, found, n_p, theta) - (0.0 if s.load is None else s.load)
+    i_q = (s.current * np.exp(-1j * theta)).imag
+    psi = found["psi_f"]
+    late = np.where(s.on, 1.5 * n_p * psi * (found["R_s"] * i_q + omega * psi) / found["L_q"], 0.0)
     firsts = np.arange(0, len(s) - m + 1, m // 2)
     moves = np.array([float(np.abs(omega[k : k + m]).min()) > slow for k in firsts], bool)
     at = firsts[moves][:, None] + np.arange(m)
@@ -98,7 +118,7 @@ def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> 
     way = way - way[:, :1]
     columns = [
         way @ second, -(way @ first), np.sign(omega[at]) @ phi, -np.sin(6.0 * theta[at]) @ phi,
-        -np.sin(12.0 * theta[at]) @ phi,
+        -np.sin(12.0 * theta[at]) @ phi, -late[at] @ phi,
     ]  # fmt: skip
     return np.stack(columns, 1), torque[at] @ phi
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.commission.window import Booleans, Complexes, Floats, Integers, clarke
-from bench.twin.directions import Told, solved
+from bench.twin.directions import Told, solved, spread
 from bench.twin.samples import Stretch
 
 SPAN = 1e-3
@@ -59,6 +59,8 @@ class Winding:
 
     told: Told
     """By `NAMES`; harmonics as shares of the fundamental, gains relative to their mean."""
+    shape: Floats
+    """Of each, sd: what it differs by between slow and fast, small and large currents, beyond noise."""
     offset: Floats
     """A, (3,): of the current sensors."""
     windows: int
@@ -71,6 +73,10 @@ class Winding:
     def sd(self, name: str) -> float:
         """Of a quantity; 0 where it is kept."""
         return float(self.told.sd[NAMES.index(name)])
+
+    def parts(self, name: str, method: float) -> dict[str, float]:
+        """Standard deviations of a quantity by cause; `method`: what the method leaves."""
+        return {"noise": self.sd(name), "method": method, "shape": float(self.shape[NAMES.index(name)])}
 
     def known(self, name: str) -> bool:
         """Whether the recordings tell it."""
@@ -104,31 +110,32 @@ def winding(stretches: Sequence[Stretch], start: Start, offset: Floats) -> Windi
         0.3 * start.R_s, 0.3 * start.L_q, 0.3 * start.L_q, 0.3 * start.psi_f, 5e-7, math.radians(2.0), 5e-6,
         *(4 * [0.01 * start.psi_f]), 0.01, 0.01, 0.5 * start.i_smooth,
     ])  # fmt: skip
-    told: Told | None = None
+    if not used:
+        return None
     for _ in range(STEPS):
-        rows = [_rows(s, x, ratio, offset) for s in used]
-        if sum(len(y) for _, y in rows) < 2 * LEAST:
+        A, y, by = (np.concatenate(each) for each in zip(*(_rows(s, x, ratio, offset) for s in used), strict=True))
+        if len(y) < 2 * LEAST:
             return None
-        A, y = np.concatenate([a for a, _ in rows]), np.concatenate([b for _, b in rows])
         told = solved(A, y, np.where(BY_STEPS, 0.0, x), scale, NAMES, each=2)
         step = np.where(BY_STEPS, told.x, 0.0)
         x = np.where(BY_STEPS, x, told.x) + step
         x[SMOOTH] = max(x[SMOOTH], 0.1 * start.i_smooth)
         if np.all(np.abs(step) < 1e-3 * scale):
             break
-    assert told is not None
+    shape = spread(A, y, told, scale, NAMES, (by[:, 0], by[:, 1]), each=2)
     sd, psi = told.sd.copy(), x[3]
     x[2] += ratio * x[1]
-    sd[2] = math.hypot(sd[2], ratio * sd[1])
+    for one in (sd, shape):
+        one[2] = math.hypot(one[2], ratio * one[1])
+        one[7:11] /= psi
     x[7:11] /= psi
-    sd[7:11] /= psi
     found = replace(told, x=x, sd=sd)
     residual = float(np.sqrt(np.mean(told.residuals**2) * 2.0)) / SPAN
-    return Winding(found, offset, len(told.residuals) // 2, residual)
+    return Winding(found, shape, offset, len(told.residuals) // 2, residual)
 
 
-def _rows(s: Stretch, x: Floats, ratio: float, offset: Floats) -> tuple[Floats, Floats]:
-    """Equations of a stretch about x: real ones of d and of q in turn."""
+def _rows(s: Stretch, x: Floats, ratio: float, offset: Floats) -> tuple[Floats, Floats, Floats]:
+    """Equations of a stretch about x, real ones of d and of q in turn, and of each its speed and its current."""
     assert s.i is not None
     assert s.u is not None
     assert s.theta is not None
@@ -156,7 +163,7 @@ def _rows(s: Stretch, x: Floats, ratio: float, offset: Floats) -> tuple[Floats, 
     per_gain = [d_phases[0] - d_phases[2], d_phases[1] - d_phases[2]]
     held = _held(s.on, m)
     if not len(held):
-        return np.zeros((0, len(x))), np.zeros(0)
+        return np.zeros((0, len(x))), np.zeros(0), np.zeros((0, 2))
 
     def integral(v: Complexes) -> Complexes:
         """Of what is given in each period up to a sample, over the windows."""
@@ -180,7 +187,9 @@ def _rows(s: Stretch, x: Floats, ratio: float, offset: Floats) -> tuple[Floats, 
     back = np.exp(-1j * theta[held + m // 2])
     A, y = np.stack(columns, 1) * back[:, None], integral(given) * back
     both = np.stack([A.real, A.imag], 1).reshape(-1, len(columns))
-    return both, np.stack([y.real, y.imag], 1).reshape(-1)
+    middles = held + m // 2
+    by = np.repeat(np.abs(np.stack([omega[middles], i[middles]], 1)), 2, axis=0)
+    return both, np.stack([y.real, y.imag], 1).reshape(-1), by
 
 
 def _held(on: Booleans, m: int) -> Integers:
