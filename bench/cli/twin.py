@@ -76,15 +76,20 @@ def fit_command(
 @click.argument("run", metavar="RUN", type=RUN)
 @click.argument("twin", metavar="TWIN", type=FILE)
 @click.option("--seed", metavar="N", type=int, default=0, show_default=True, help="Seed of the twin's noise.")
+@click.option("--repeats", metavar="N", type=click.IntRange(1), default=3, show_default=True,
+              help="Runs of the twin, each with other noise.")  # fmt: skip
 @click.option("-o", "--out", metavar="PNG", type=FILE, help="Draw both to this file.")
 @json_option("the differences")
 @overwrite_option
-def check_command(run: Path, twin: Path, seed: int, out: Path | None, json_file: Path | None, overwrite: bool) -> None:
+def check_command(
+    run: Path, twin: Path, seed: int, repeats: int, out: Path | None, json_file: Path | None, overwrite: bool
+) -> None:
     """Run the twin under the commands of a recording, and report in what the two differ.
 
     State, speed and current references and parameters are those of the recording, at the same PWM periods; the twin
-    runs in virtual time, with its own noise. Shows each channel's rms and each position error of both while the drive
-    ran, with the standard error of the difference (from batch means); more than 3 of them is marked "differs".
+    runs in virtual time, with its own noise, --repeats times. Shows each channel's rms and each position error of both
+    while the drive ran, with the standard error of the difference: from batch means, and from what the twin's runs
+    differ by. More than 3 of them is marked "differs".
 
     Exit codes: 0 compared, 1 the twin tripped, 2 error.
 
@@ -98,7 +103,7 @@ def check_command(run: Path, twin: Path, seed: int, out: Path | None, json_file:
     from bench.twin.check import check
 
     opened = readable(run)
-    found = check(opened, twin, seed)
+    found = check(opened, twin, seed, repeats)
     for words in (*opened.damage, *found.remarks):
         note(f"warning: {words}")
     if out is not None:

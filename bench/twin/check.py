@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bench.commission.window import Floats
-from bench.compare.batches import VERDICT_WORDS, Batches, Difference, of_means, of_rms, of_std
+from bench.compare.batches import SURE, VERDICT_WORDS, Batches, Difference, of_means, of_rms, of_std
 from bench.compare.compare import WORDS
 from bench.errors import BenchError
 from bench.files import finite
 from bench.record.layout import EDGES, SAMPLES
 from bench.record.reader import Run, captures
 from bench.report.words import number
+from bench.signal.batches import ROUNDING
 from bench.signal.capture import Capture
 from bench.signal.position import position_errors, running
 from bench.signal.verdict import Verdict
@@ -27,6 +28,8 @@ from protocol.signals import DRIVE_CHANNELS, Flag
 from protocol.streams import SampleChunk
 from sim.ports.followed import Asked, Follower
 
+REPEATS = 3
+"""Runs of a twin: where a rotor stands by chance when an observer is in trouble decides much."""
 RUN_IN = 1.0
 """s that a twin turns at first, where the recording begins with a drive that runs."""
 KNOWN = {channel.name for channel in DRIVE_CHANNELS}
@@ -103,23 +106,56 @@ class Checked:
         return told
 
 
-def check(run: Run, twin: Path, seed: int = 0) -> Checked:
-    """Run the twin of the configuration file `twin` under the commands of a recording; `seed` is that of its noise.
+def check(run: Run, twin: Path, seed: int = 0, repeats: int = REPEATS) -> Checked:
+    """Run the twin of the configuration file `twin` under the commands of a recording, so often with other noise.
 
-    BenchError for a recording that does not tell its commands, or that has another PWM rate; ConfigError.
+    `seed` is that of the first. BenchError for a recording that does not tell its commands, or that has another PWM
+    rate; ConfigError.
     """
     found = Checked(run.path, twin)
     channels = run.config(SAMPLES).channels
+    names = [c.name for c in channels if c.name in KNOWN and c.name not in WORDS and not c.flags & Flag.WRAPS]
+    units = {c.name: c.unit.symbol for c in channels}
+    several, edges = [], []
+    for again in range(repeats):
+        sums = [Batches(*run.span) for _ in range(2)]
+        kept, follower = _run(run, twin, seed + again, sums, names)
+        several.append(list(_rows(sums, names, units, run)))
+        edges.append(follower.edges)
+        if not again:
+            found.traces = _traces(kept)
+            if "tau_load_true" not in units:
+                found.remarks.append("no load was recorded: the twin has none")
+        if follower.fault:
+            found.tripped = follower.fault
+            break
+    found.rows = tuple(_pooled([of[k] for of in several]) for k in range(len(several[0])))
+    found.edges = run.rows(EDGES) if EDGES in run.names else 0, round(sum(edges) / len(edges))
+    return found
+
+
+def _pooled(rows: Sequence[Row]) -> Row:
+    """The mean of the twin's runs; what they differ by counts as noise, of the recording as well."""
+    one, values = rows[0].difference, [row.difference.b for row in rows]
+    mean = float(np.mean(values))
+    spread = float(np.std(values, ddof=1)) * math.sqrt(1.0 + 1.0 / len(values)) if len(values) > 1 else 0.0
+    error = math.hypot(max(row.difference.error for row in rows), spread)
+    far = abs(mean - one.a) > SURE * error and abs(mean - one.a) > ROUNDING * abs(one.a)
+    if all(row.difference.verdict is Verdict.INVALID for row in rows) and not (far and spread):
+        return replace(rows[0], difference=replace(one, b=mean, error=error))
+    return replace(rows[0], difference=Difference(one.a, mean, error, Verdict.FAIL if far else Verdict.PASS))
+
+
+def _run(
+    run: Run, twin: Path, seed: int, sums: Sequence[Batches], names: Sequence[str]
+) -> tuple[list[tuple[SampleChunk, SampleChunk]], Follower]:
+    """One run of the twin: chunks of both, and the twin at its end; `sums` take what both do while the drive runs."""
     pieces = captures(run)
     first = next(pieces, None)
     n_p = run.info.n_p
     if first is None or n_p is None:
         raise BenchError(f"{run.path} holds no samples, or no parameter n_p")
     follower = _begun(run, twin, seed, first, n_p)
-    if "tau_load_true" not in first:
-        found.remarks.append("no load was recorded: the twin has none")
-    names = [c.name for c in channels if c.name in KNOWN and c.name not in WORDS and not c.flags & Flag.WRAPS]
-    sums = [Batches(*run.span) for _ in range(2)]
     kept: list[tuple[SampleChunk, SampleChunk]] = []
     before: int | None = None
     for capture in _with(first, pieces):
@@ -132,12 +168,8 @@ def check(run: Run, twin: Path, seed: int = 0) -> Checked:
             _add(side, chunk, names, on)
         kept.append((samples, own))
         if follower.fault:
-            found.tripped = follower.fault
             break
-    found.rows = tuple(_rows(sums, names, {c.name: c.unit.symbol for c in channels}, run))
-    found.edges = run.rows(EDGES) if EDGES in run.names else 0, follower.edges
-    found.traces = _traces(kept)
-    return found
+    return kept, follower
 
 
 def _with(first: Capture, rest: Iterator[Capture]) -> Iterator[Capture]:
@@ -151,7 +183,9 @@ def _begun(run: Run, twin: Path, seed: int, first: Capture, n_p: int) -> Followe
     channels = run.config(SAMPLES).channels
     if "theta_enc" in first:
         offset = Follower(twin, None, seed, channels).encoder_deg
-        theta = math.remainder(math.degrees(float(first["theta_enc"][0])) - offset, 360.0)
+        count = 360.0 * n_p / (4.0 * run.parameters.get("encoder_lines", math.inf))
+        within = count * float(np.random.default_rng(seed).uniform(-0.5, 0.5))  # of a count of the encoder
+        theta = math.remainder(math.degrees(float(first["theta_enc"][0])) - offset + within, 360.0)
     follower = Follower(twin, theta, seed, channels)
     if follower.pwm_hz != run.info.pwm_hz:
         raise BenchError(f"{twin} has a PWM rate of {follower.pwm_hz} Hz, and {run.path} {run.info.pwm_hz} Hz")

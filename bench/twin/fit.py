@@ -114,9 +114,22 @@ def fit(runs: Sequence[Run], config: Path | None = None) -> Twin:
     edges = _edges(twin, runs, found)
     if found is None and edges is None:
         raise BenchError(f"{', '.join(twin.runs)}: nothing can be fitted: {'; '.join(twin.untold)}")
+    twin.untold = list(dict.fromkeys(twin.untold))
     twin.values |= {value.key: value.value for value in twin.told}
+    _fine_steps(twin.values)
     nominal(None, twin.values)  # that the simulated drive takes it
     return twin
+
+
+def _fine_steps(values: dict[str, Number]) -> None:
+    """Integration steps that are short enough for these figures; what follows from others is taken from there."""
+    figures = nominal(None, {key: value for key, value in values.items() if key != "inverter.i_smooth"})
+    motor, inverter, clock = figures["motor"], figures["inverter"], figures["clock"]
+    L, smooth = min(motor["L_d"], motor["L_q"]), values.get("inverter.i_smooth", math.inf)
+    lost = inverter["u_dc"] * inverter["dead_time"] * clock["pwm_hz"] + inverter["u_device"]
+    steps = max(motor["R_s"] / L, lost / (2.0 * L * float(smooth))) / clock["pwm_hz"]  # type: ignore[arg-type]
+    if steps > 0.9 * clock["substeps"]:
+        values["clock.substeps"] = math.ceil(steps / 0.9)
 
 
 def _electrical(twin: Twin, pieces: Sequence[Stretch], figures: Mapping[str, Any]) -> of_winding.Winding | None:
@@ -129,18 +142,22 @@ def _electrical(twin: Twin, pieces: Sequence[Stretch], figures: Mapping[str, Any
         twin.untold.append(f"winding, inverter, shaft: {why}")
         return None
     offset, noise = _at_rest(twin, pieces, figures)
-    found = of_winding.winding(pieces, start, offset)
+    own = figures["current_sensor"]["noise_rms"] if noise is None else noise
+    found = of_winding.winding(pieces, start, offset, own)
     if found is None:
         twin.untold.append("winding, inverter, shaft: the outputs were hardly on")
         return None
-    beyond = found.residual / _expected(found, figures, noise)
+    beyond = found.residual / _expected(found, figures, own)
     for name, section in SECTIONS.items():
-        if name in of_winding.NAMES and found.known(name):
+        if name not in of_winding.NAMES:
+            continue
+        twin.values[f"{section}.{name}"] = max(found[name], 0.0)  # also of what is told of several together only
+        if found.known(name):
             least, most = FLOORS[name]
             floor = least + (most - least) * min(1.0, max(0.0, (beyond**2 - 1.0) / (MUCH**2 - 1.0)))
             parts = found.parts(name, floor * abs(found[name]))
             twin.told.append(_value(section, name, found[name], parts))
-    _harmonics(twin, found, motor["emf_harmonics"])
+    _harmonics(twin, found)
     _sensors(twin, found)
     twin.untold += [_words(names) for names in found.told.untold]
     twin.residuals["voltage equation, a millisecond's mean"] = (found.residual, "V")
@@ -149,11 +166,10 @@ def _electrical(twin: Twin, pieces: Sequence[Stretch], figures: Mapping[str, Any
     return found
 
 
-def _expected(found: of_winding.Winding, figures: Mapping[str, Any], noise: float | None) -> float:
+def _expected(found: of_winding.Winding, figures: Mapping[str, Any], noise: float) -> float:
     """V rms that noise of the currents and steps of the encoder leave of the voltages."""
     count = math.tau * figures["motor"]["n_p"] / (4.0 * figures["encoder"]["pulses_per_rev"])
-    own = figures["current_sensor"]["noise_rms"] if noise is None else noise
-    flux = found["L_q"] * own * math.sqrt(8.0 / 3.0), found["psi_f"] * count / math.sqrt(6.0)
+    flux = found["L_q"] * noise * math.sqrt(8.0 / 3.0), found["psi_f"] * count / math.sqrt(6.0)
     return 1.2 * math.hypot(*flux) / of_winding.SPAN
 
 
@@ -207,10 +223,10 @@ def _several(key: str, values: Sequence[float], parts: Sequence[Mapping[str, flo
     return Value(key, [float(one) for one in values], quantities)
 
 
-def _harmonics(twin: Twin, found: of_winding.Winding, before: Sequence[float]) -> None:
+def _harmonics(twin: Twin, found: of_winding.Winding) -> None:
     names = [f"emf_harmonic_{order}" for order in of_winding.ORDERS]
     if any(map(found.known, names)):
-        values = [found[name] if found.known(name) else one for name, one in zip(names, before, strict=True)]
+        values = [found[name] for name in names]
         parts = [found.parts(name, HARMONIC_FLOOR) if found.known(name) else None for name in names]
         twin.told.append(_several("motor.emf_harmonics", values, parts))
 
@@ -249,6 +265,7 @@ def _mechanical(twin: Twin, pieces: Sequence[Stretch], found: of_winding.Winding
     share = found.sd("psi_f") / found["psi_f"]
     x, late = told.told, told.told.known[of_shaft.LATE]
     for k, name in enumerate(of_shaft.NAMES[:3]):
+        twin.values[f"mechanics.{name}"] = max(float(x.x[k]), 0.0)
         if x.known[k]:
             size = abs(float(x.x[k]))
             parts = {
@@ -276,6 +293,8 @@ def _mechanical(twin: Twin, pieces: Sequence[Stretch], found: of_winding.Winding
 
 
 def _words(names: Sequence[str]) -> str:
+    if names == ("L_d",):
+        return "L_d apart from L_q: nothing in the recordings tells it; their ratio is as it was before"
     if len(names) == 1:
         return f"{names[0]}: nothing in the recordings tells it; it is as it was before"
     return f"{' and '.join(names)}: the recordings tell only what they do together; what tells them apart is as before"

@@ -97,7 +97,7 @@ class Winding:
         return np.asarray((stretch.i - self.offset[:, None]) / (1.0 + self.gains()[:, None]))
 
 
-def winding(stretches: Sequence[Stretch], start: Start, offset: Floats) -> Winding | None:
+def winding(stretches: Sequence[Stretch], start: Start, offset: Floats, noise: float) -> Winding | None:
     """By stretches with currents, voltages and the encoder at every period; None where there are too few windows."""
     used = [s for s in stretches if s.every and s.i is not None and s.u is not None and s.theta is not None]
     used = [s for s in used if s.u_dc is not None and s.on.sum() > 2 * round(SPAN / s.T)]
@@ -112,17 +112,19 @@ def winding(stretches: Sequence[Stretch], start: Start, offset: Floats) -> Windi
     ])  # fmt: skip
     if not used:
         return None
+    of_noise = np.zeros((len(x), len(x)))  # of the difference of two samples of the current, a component
+    of_noise[1:3, 1:3] = 2.0 / 3.0 * noise**2 * np.array([[1.0 + ratio**2, ratio], [ratio, 1.0]])
     for _ in range(STEPS):
         A, y, by = (np.concatenate(each) for each in zip(*(_rows(s, x, ratio, offset) for s in used), strict=True))
         if len(y) < 2 * LEAST:
             return None
-        told = solved(A, y, np.where(BY_STEPS, 0.0, x), scale, NAMES, each=2)
+        told = solved(A, y, np.where(BY_STEPS, 0.0, x), scale, NAMES, each=2, noise=of_noise)
         step = np.where(BY_STEPS, told.x, 0.0)
         x = np.where(BY_STEPS, x, told.x) + step
         x[SMOOTH] = max(x[SMOOTH], 0.1 * start.i_smooth)
         if np.all(np.abs(step) < 1e-3 * scale):
             break
-    shape = spread(A, y, told, scale, NAMES, (by[:, 0], by[:, 1]), each=2)
+    shape = spread(A, y, told, scale, NAMES, (by[:, 0], by[:, 1]), each=2, noise=of_noise)
     sd, psi = told.sd.copy(), x[3]
     x[2] += ratio * x[1]
     for one in (sd, shape):
