@@ -7,12 +7,12 @@ standard deviation is less than that; along every other one the start stays as i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bench.commission.least_squares import Fit
-from bench.commission.window import Floats
+from bench.commission.window import Booleans, Floats
 
 PART = 0.4
 """Share from which an unknown is named as part of a direction."""
@@ -37,69 +37,64 @@ class Told:
     """y - A x, shape (n,)."""
 
 
-def solved(
-    A: Floats,
-    y: Floats,
-    start: Floats,
-    scale: Floats,
-    names: Sequence[str],
-    each: int = 1,
-    weights: Floats | None = None,
-    noise: Floats | None = None,
-) -> Told:
-    """Minimise the squares of weights (y - A x), A of shape (n, k), from `start`; `scale`: see the module.
+@dataclass(frozen=True)
+class Equations:
+    """y = A x: A of shape (n, k), y of shape (n,), in the order of time."""
 
-    `each`: so many rows belong together and follow each other in the order of time. `noise`, shape (k, k): covariance
-    of what noise adds to a row of A, which would make its coefficients too small, and is no information. Fewer rows
-    than unknowns: all is kept.
-    """
+    A: Floats
+    y: Floats
+    scale: Floats
+    """(k,): see the module."""
+    names: Sequence[str]
+    each: int = 1
+    """So many rows belong together and follow each other."""
+    weights: Floats | None = None
+    """(n,)"""
+    noise: Floats | None = None
+    """(k, k): covariance of what noise adds to a row of A: it would make coefficients too small, and tells nothing."""
+
+    def of(self, which: Booleans) -> Equations:
+        """Some of them."""
+        weights = None if self.weights is None else self.weights[which]
+        return replace(self, A=self.A[which], y=self.y[which], weights=weights)
+
+
+def solved(equations: Equations, start: Floats) -> Told:
+    """Minimise the squares of weights (y - A x) from `start`. Fewer rows than unknowns: all is kept."""
+    A, y, scale, names, each = equations.A, equations.y, equations.scale, equations.names, equations.each
     n, k = A.shape
-    w = np.ones(n) if weights is None else weights
+    w = np.ones(n) if equations.weights is None else equations.weights
     if n <= k:
         return Told(start, np.zeros(k), (False,) * k, tuple((name,) for name in names), y - A @ start)
     scaled, target = A * scale * w[:, None], (y - A @ start) * w
-    of_noise = np.zeros((k, k)) if noise is None else n * noise * np.outer(scale, scale)
-    square, V = np.linalg.eigh(scaled.T @ scaled - of_noise)
-    along = V.T @ (scaled.T @ target + of_noise @ (start / scale))  # what noise times the start has taken from it
-    blind = LEAST_SIGNAL * np.einsum("ij,ij->j", V, of_noise @ V)
-    tiny = 1e-12 * float(square.max())
-    rest = target - scaled @ (V @ (along * (square > np.maximum(blind, tiny)) / np.maximum(square, tiny)))
+    noise = np.zeros((k, k)) if equations.noise is None else n * equations.noise * np.outer(scale, scale)
+    square, V = np.linalg.eigh(scaled.T @ scaled - noise)
+    along = V.T @ (scaled.T @ target + noise @ (start / scale))  # what noise times the start has taken from it
+    least = np.maximum(LEAST_SIGNAL * np.einsum("ij,ij->j", V, noise @ V), 1e-12 * float(square.max()))
+    rest = target - scaled @ (V @ np.where(square > least, along / np.maximum(square, least), 0.0))
     sigma = float(np.sqrt(rest @ rest / (n - k)))
     own = sigma * max(Fit(start, np.zeros((k, k)), rest[part::each]).inflation() for part in range(each))
-    told = square > np.maximum(np.maximum(blind, tiny), own**2)
+    told = square > np.maximum(least, own**2)
     inverse = np.where(told, 1.0 / np.where(told, square, 1.0), 0.0)
     x = start + scale * (V @ (inverse * along))
     sd = scale * np.sqrt(V**2 @ inverse) * own
-    lost = (V[:, ~told] ** 2).sum(axis=1)
+    known = (V[:, ~told] ** 2).sum(axis=1) < KEPT
     untold = tuple(_named(column, names) for column in V[:, ~told].T)
-    known = lost < KEPT
     return Told(x, np.where(known, sd, 0.0), tuple(known.tolist()), untold, y - A @ x)
 
 
-def spread(
-    A: Floats,
-    y: Floats,
-    told: Told,
-    scale: Floats,
-    names: Sequence[str],
-    by: Sequence[Floats],
-    each: int = 1,
-    weights: Floats | None = None,
-    noise: Floats | None = None,
-) -> Floats:
+def spread(equations: Equations, told: Told, by: Sequence[Floats]) -> Floats:
     """What the unknowns differ by, sd, shape (k,), where a model does not have the shape of what it is fitted to.
 
     Half of what those of the smaller half and of the larger half of each of `by`, shape (n,), differ by, beyond noise.
     """
-    total = np.zeros(len(scale))
+    total = np.zeros(len(told.x))
     for size in by:
-        halves = []
-        for half in (size <= np.median(size), size > np.median(size)):
-            own = None if weights is None else weights[half]
-            halves.append(solved(A[half], y[half], told.x, scale, names, each, own, noise))
-        differ = 0.5 * np.abs(halves[1].x - halves[0].x)
-        scatter = 0.5 * np.hypot(halves[0].sd, halves[1].sd)
-        both = np.array(halves[0].known) & np.array(halves[1].known) & np.array(told.known)
+        small, large = (
+            solved(equations.of(half), told.x) for half in (size <= np.median(size), size > np.median(size))
+        )
+        differ, scatter = 0.5 * np.abs(large.x - small.x), 0.5 * np.hypot(small.sd, large.sd)
+        both = np.array(small.known) & np.array(large.known) & np.array(told.known)
         total += np.where(both, np.maximum(differ**2 - scatter**2, 0.0), 0.0)
     return np.sqrt(total)
 

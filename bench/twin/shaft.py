@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.commission.window import Floats, clarke
-from bench.twin.directions import Told, solved, spread
+from bench.twin.directions import Equations, Told, solved, spread
 from bench.twin.samples import Stretch
 from bench.twin.winding import ORDERS, SIGNS, Winding, speed
 
@@ -85,10 +85,11 @@ def shaft(stretches: Sequence[Stretch], start: Start, found: Winding, n_p: int, 
         rms = [max(float(np.sqrt(np.mean((y - A @ at) ** 2))), 1e-12) for A, y in blocks]
         weights = np.concatenate([np.full(len(y), 1.0 / one) for (_, y), one in zip(blocks, rms, strict=True)])
         A, y = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-        told = solved(A, y, x, scale, NAMES, weights=weights)
+        equations = Equations(A, y, scale, NAMES, weights=weights)
+        told = solved(equations, x)
         at = told.x
     rest = blocks[0][1] - blocks[0][0] @ at
-    shape = spread(A, y, told, scale, NAMES, (np.abs(A[:, 1]), A[:, 1]), weights=weights)
+    shape = spread(equations, told, (np.abs(A[:, 1]), A[:, 1]))
     loaded, late_as_b = any(s.load is not None for s in used), 1.5 * (n_p * found["psi_f"]) ** 2 / found["L_q"]
     return Shaft(told, shape, len(rest), float(np.sqrt(np.mean(rest**2))), loaded, late_as_b)
 

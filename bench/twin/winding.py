@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.commission.window import Booleans, Complexes, Floats, Integers, clarke
-from bench.twin.directions import Told, solved, spread
+from bench.twin.directions import Equations, Told, solved, spread
 from bench.twin.samples import Stretch
 
 SPAN = 1e-3
@@ -118,13 +118,14 @@ def winding(stretches: Sequence[Stretch], start: Start, offset: Floats, noise: f
         A, y, by = (np.concatenate(each) for each in zip(*(_rows(s, x, ratio, offset) for s in used), strict=True))
         if len(y) < 2 * LEAST:
             return None
-        told = solved(A, y, np.where(BY_STEPS, 0.0, x), scale, NAMES, each=2, noise=of_noise)
+        equations = Equations(A, y, scale, NAMES, each=2, noise=of_noise)
+        told = solved(equations, np.where(BY_STEPS, 0.0, x))
         step = np.where(BY_STEPS, told.x, 0.0)
         x = np.where(BY_STEPS, x, told.x) + step
         x[SMOOTH] = max(x[SMOOTH], 0.1 * start.i_smooth)
         if np.all(np.abs(step) < 1e-3 * scale):
             break
-    shape = spread(A, y, told, scale, NAMES, (by[:, 0], by[:, 1]), each=2, noise=of_noise)
+    shape = spread(equations, told, (by[:, 0], by[:, 1]))
     sd, psi = told.sd.copy(), x[3]
     x[2] += ratio * x[1]
     for one in (sd, shape):

@@ -14,7 +14,7 @@ import bench
 from bench.errors import BenchError
 from bench.record.recording import run_of
 from bench.twin.check import Checked, check
-from bench.twin.directions import solved
+from bench.twin.directions import Equations, solved
 from bench.twin.fit import Twin, fit
 from sim.config.params import load_params
 from tests.choice import sampled
@@ -152,7 +152,7 @@ def test_what_two_unknowns_do_alike_is_told_of_both_together_only(seed: int) -> 
     A[:, other] = share * A[:, one]
     truth, start = rng.normal(size=k), rng.normal(size=k)
     y = A @ truth + 0.01 * rng.normal(size=n)
-    told = solved(A, y, start, np.ones(k), [f"x{j}" for j in range(k)])
+    told = solved(Equations(A, y, np.ones(k), [f"x{j}" for j in range(k)]), start)
     assert [set(names) for names in told.untold] == [{f"x{one}", f"x{other}"}]
     rest = [j for j in range(k) if j not in (one, other)]
     np.testing.assert_allclose(told.x[rest], truth[rest], atol=0.01)
@@ -168,7 +168,7 @@ def test_an_unknown_without_a_column_keeps_its_start_and_the_others_are_as_by_ls
     A = rng.normal(size=(100, 4))
     A[:, 2] = 0.0
     y = rng.normal(size=100)
-    told = solved(A, y, np.full(4, 7.0), np.full(4, 10.0), "abcd")
+    told = solved(Equations(A, y, np.full(4, 10.0), "abcd"), np.full(4, 7.0))
     assert told.untold == (("c",),)
     assert told.known == (True, True, False, True)
     assert told.x[2] == pytest.approx(7.0)
@@ -185,7 +185,7 @@ def test_noise_in_what_is_known_makes_nothing_smaller_and_is_no_information(seed
     y = clean @ truth + 0.1 * rng.normal(size=n)
     A = clean + sd * rng.normal(size=(n, 3))
     start = rng.normal(size=3)
-    told = solved(A, y, start, np.ones(3), "abc", noise=np.diag(sd**2))
+    told = solved(Equations(A, y, np.ones(3), "abc", noise=np.diag(sd**2)), start)
     assert told.untold == (("c",),)
     np.testing.assert_allclose(told.x[:2], truth[:2], atol=5 * 2.0 / np.sqrt(n))
     assert told.x[2] == pytest.approx(start[2], abs=0.1)
