@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from bench.report.style import GREY, SERIES, axis_labels, column_title, legend_above, new_figure, time_axes
+from bench.report.style import SERIES, axis_labels, column_title, legend_above, new_figure, time_axes
 from bench.twin.check import Checked
 
 UNITS = {"omega_enc": "rad/s", "i_q": "A"}
@@ -12,11 +12,11 @@ UNITS = {"omega_enc": "rad/s", "i_q": "A"}
 
 
 def draw(found: Checked) -> Figure:
-    """One axes a channel: recorded in colour, the twin in grey above it."""
+    """One axes a channel: recorded in colour, the twin as a thin line upon it."""
     figure, axes = new_figure(max(len(found.traces), 1), height=1.7 * len(found.traces) + 0.5)
     for ax, (name, (t, recorded, twin)) in zip(axes, found.traces.items(), strict=False):
-        ax.plot(t, recorded, color=SERIES[0], linewidth=0.8, label="recorded")
-        ax.plot(t, twin, color=GREY, linewidth=0.6, label="twin")
+        ax.plot(t, recorded, color=SERIES[0], linewidth=2.0, label="recorded")
+        ax.plot(t, twin, color="black", linewidth=0.4, label="twin")
         axis_labels(ax, "", name if name in UNITS else f"{name} error", "", UNITS.get(name, "el. °"))
     if found.traces:
         legend_above(axes[0])

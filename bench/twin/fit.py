@@ -50,6 +50,8 @@ UNITS = {
 }  # fmt: skip
 COGGING_FLOOR, LATE_FLOOR = 5e-4, 1e-7
 """Of the rated torque; s, sd."""
+MOST = 3_000_000
+"""Samples, about: three minutes at 16 kHz."""
 SURE = 3.0
 """Standard deviations, beyond which an encoder, or a current, is believed to be late."""
 DROPS = "dead_time and u_device, the drop of the switches: only what both take together; u_device is as it was before"
@@ -104,10 +106,12 @@ def fit(runs: Sequence[Run], config: Path | None = None) -> Twin:
     BenchError where the recordings hold nothing to fit, and for a configuration that the simulated drive refuses.
     """
     base: dict[str, Number] = {} if config is None else dict(leaves(read_toml(config, "configuration")))
-    pieces = [piece for run in runs for piece in stretches(run)]
+    pieces, more = _read(runs)
     base = known(runs, pieces) | base
     figures = nominal(None, base)
     twin = Twin(base, runs=tuple(run.path.name for run in runs))
+    if more:
+        twin.untold.append(f"what comes after the first {MOST} samples: of them winding and shaft are not fitted")
     found = _electrical(twin, pieces, figures)
     if found is not None:
         _mechanical(twin, pieces, found, figures)
@@ -119,6 +123,17 @@ def fit(runs: Sequence[Run], config: Path | None = None) -> Twin:
     _fine_steps(twin.values)
     nominal(None, twin.values)  # that the simulated drive takes it
     return twin
+
+
+def _read(runs: Sequence[Run]) -> tuple[list[Stretch], bool]:
+    """Stretches of `MOST` samples in all, and whether there are more."""
+    pieces, n = [], 0
+    for piece in (piece for run in runs for piece in stretches(run)):
+        if n >= MOST:
+            return pieces, True
+        pieces.append(piece)
+        n += len(piece)
+    return pieces, False
 
 
 def _fine_steps(values: dict[str, Number]) -> None:

@@ -18,6 +18,10 @@ BEGUN_WITH = {
     "encoder_lines": "encoder.pulses_per_rev",
 }  # fmt: skip
 """By the drive's parameter the key of the plant that begins with its value."""
+AS_TOLD = {
+    "encoder_reverse": "faults.encoder.reversed", "hall_swap_hat": "wiring.hall_swap",
+    "hall_invert_hat": "wiring.hall_invert",
+}  # fmt: skip
 WHOLE = ("motor.n_p", "encoder.pulses_per_rev")
 
 
@@ -32,6 +36,9 @@ def known(runs: Sequence[Run], pieces: Sequence[Stretch]) -> dict[str, Number]:
     if volts := [p.u_dc[p.rest] if p.rest.any() else p.u_dc for p in pieces if p.u_dc is not None]:
         values["inverter.u_dc"] = float(np.median(np.concatenate(volts)))
     values |= _firmware(parameters)
+    for name, key in AS_TOLD.items():  # what the firmware puts right is there to be put right
+        if parameters.get(name):
+            values[key] = int(parameters[name])
     if not any(p.theta is not None for p in pieces):
         values["encoder.present"] = 0
         values["firmware.observer"] = int(values.get("firmware.observer", 0)) or 1  # type: ignore[arg-type]

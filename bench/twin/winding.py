@@ -21,7 +21,7 @@ from bench.twin.samples import Stretch
 
 SPAN = 1e-3
 """s from one end of a window to the other, about."""
-STEPS = 6
+STEPS = 10
 """Times that zero, delay and gains are put right."""
 ORDERS = (5, 7, 11, 13)
 SIGNS = (-1, 1, -1, 1)
@@ -121,12 +121,14 @@ def winding(stretches: Sequence[Stretch], start: Start, offset: Floats, noise: f
         equations = Equations(A, y, scale, NAMES, each=2, noise=of_noise)
         told = solved(equations, np.where(BY_STEPS, 0.0, x))
         step = np.where(BY_STEPS, told.x, 0.0)
+        step[ZERO], psi = math.atan2(x[3] * told.x[ZERO], told.x[3]), math.hypot(x[3] * told.x[ZERO], told.x[3])
         x = np.where(BY_STEPS, x, told.x) + step
+        x[3] = psi  # an encoder may stand at any angle
         x[SMOOTH] = max(x[SMOOTH], 0.1 * start.i_smooth)
         if np.all(np.abs(step) < 1e-3 * scale):
             break
     shape = spread(equations, told, (by[:, 0], by[:, 1]))
-    sd, psi = told.sd.copy(), x[3]
+    sd, psi = told.sd.copy(), float(x[3])
     x[2] += ratio * x[1]
     for one in (sd, shape):
         one[2] = math.hypot(one[2], ratio * one[1])

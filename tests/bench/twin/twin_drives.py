@@ -33,7 +33,7 @@ class TwinDrive:
     seed: int
 
 
-def drawn(seed: int, hard: bool = False) -> TwinDrive:
+def drawn(seed: int, hard: bool = False, **settings: Any) -> TwinDrive:
     """One of the motors by its turn, with figures drawn around its own; the firmware knows nothing of that."""
     rng, name = np.random.default_rng([seed, hard]), NAMES[seed % len(NAMES)]
     file = motors().get(name)
@@ -54,13 +54,14 @@ def drawn(seed: int, hard: bool = False) -> TwinDrive:
     }  # fmt: skip
     if hard:
         values = {k: v for k, v in unkind(base).items() if not k.startswith(ELSEWHERE)} | values
+    values |= {key: value for key, value in settings.items() if key in values}
     assumed = {
         "firmware.R_s_hat": motor.R_s, "firmware.L_s_hat": motor.L_q, "firmware.psi_f_hat": motor.psi_f,
         "firmware.J_hat": base.mechanics.J, "firmware.dead_time.dead_time_hat": base.inverter.dead_time,
         "firmware.omega_m_max": base.firmware.omega_m_max,
     }  # fmt: skip
     config: dict[str, Any] = tomllib.loads(file.read_text()) if file is not None else {}
-    for dotted, value in (values | assumed).items():
+    for dotted, value in (values | assumed | settings).items():
         table: Any = config
         *sections, key = dotted.split(".")
         for section in sections:
