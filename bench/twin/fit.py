@@ -127,7 +127,8 @@ def fit(runs: Sequence[Run], config: Path | None = None) -> Twin:
 
 def _read(runs: Sequence[Run]) -> tuple[list[Stretch], bool]:
     """Stretches of `MOST` samples in all, and whether there are more."""
-    pieces, n = [], 0
+    pieces: list[Stretch] = []
+    n = 0
     for piece in (piece for run in runs for piece in stretches(run)):
         if n >= MOST:
             return pieces, True
@@ -328,6 +329,8 @@ def _edges(twin: Twin, runs: Sequence[Run], found: of_winding.Winding | None) ->
         return None
     twin.told += told.values
     twin.untold += told.untold
+    if not told.blind and (found is None or not found.known("encoder_zero")):
+        twin.untold.append("where the encoder's zero lies: hall.offset_deg is by the encoder as it is")
     twin.residuals["Hall edges"] = (told.residual, "deg")
     twin.residuals["Hall edges, as their times and angles are resolved"] = (told.resolution, "deg")
     if "motor.n_p" not in twin.values and told.n_p:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from bench.record.reader import Run
 from bench.signal import hall_edges
 from bench.signal.edge_fit import EdgeFit
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS
-from bench.twin.values import Value
+from bench.twin.values import Number, Value
+from sim.ports.followed import pole_pair_means
 
 PLACE_FLOOR = 0.02
 """deg, sd: what an uneven disc and steps of the encoder leave in a mean."""
@@ -43,6 +44,8 @@ class Halls:
     """deg rms, to which an edge is known by the steps of its time, and of the encoder's angle."""
     passages: int
     untold: tuple[str, ...]
+    blind: bool
+    """Whether no encoder was recorded."""
     n_p: int | None
     """Pole pairs by edges that repeat, where no parameter says them."""
 
@@ -77,10 +80,10 @@ def halls(run: Run, zero: float = 0.0, zero_sd: float = 0.0, encoder_delay: floa
     )
     spread = math.degrees(float(found.pairs.std()))
     if found.apart and found.pairs.shape[1] > 1 and spread > SURE * rms / math.sqrt(n.sum() / found.pairs.size):
-        most = math.sqrt(3.0) * spread  # the simulated drive draws them evenly
-        values.append(
-            _told("hall.pole_pair_deg", "deg", min(most, 10.0), most / math.sqrt(2.0 * found.pairs.size), 0.0)
-        )
+        most = min(math.sqrt(3.0) * spread, 10.0)  # the simulated drive draws them evenly
+        values.append(_told("hall.pole_pair_deg", "deg", most, most / math.sqrt(2.0 * found.pairs.size), 0.0))
+        means = pole_pair_means(most, found.pairs.shape[1])  # what it draws is not to move the edges' means
+        values = [replace(v, value=_sums(v.value, means)) if v.key == "hall.delta_deg" else v for v in values]
     untold = ["which edge of which pole pair lies where: the twin's pole pairs have the spread, and not the pattern"]
     untold = untold if len(values) and values[-1].key == "hall.pole_pair_deg" else []
     if measured.blind:
@@ -89,7 +92,11 @@ def halls(run: Run, zero: float = 0.0, zero_sd: float = 0.0, encoder_delay: floa
         untold.append("hall.hysteresis_deg: the shaft turned one way only")
     if np.isnan(found.delay).all():
         untold.append("delays of the Hall edges: the speed did not change enough; the places are those at speed")
-    return Halls(tuple(values), rms, sharp, found.passages, tuple(untold), found.n_p or None)
+    return Halls(tuple(values), rms, sharp, found.passages, tuple(untold), measured.blind, found.n_p or None)
+
+
+def _sums(delta: Number, more: Floats) -> list[float]:
+    return [float(one) for one in np.asarray(delta) + more]
 
 
 def _told(key: str, unit: str, value: float, noise: float, method: float) -> Value:

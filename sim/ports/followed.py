@@ -14,10 +14,21 @@ from protocol.messages import DriveState, SetpointMode
 from protocol.signals import Signal
 from sim.config.params import ConfigError, load_params
 from sim.drive.machine import SimulatedBench
+from sim.plant import hall_sensor
 
-__all__ = ["Asked", "ConfigError", "Follower"]
+__all__ = ["Asked", "ConfigError", "Follower", "pole_pair_means"]
 
 LEAST_LOAD = 1e-6  # N m, below which the load machine is taken to be off
+
+
+def pole_pair_means(pole_pair_deg: float, n_p: int) -> NDArray[np.float64]:
+    """By how much each edge lies later, deg, (6,), in the mean of the pole pairs that `hall.pole_pair_deg` gives."""
+    uneven, even = (
+        hall_sensor.make_params((0.0,) * 6, 0.0, 0.0, n_p, pole_pair_deg=spread) for spread in (pole_pair_deg, 0.0)
+    )
+    places = np.array([[hall_sensor.edge_angle(of, k) for k in range(6 * n_p)] for of in (uneven, even)])
+    means: NDArray[np.float64] = np.degrees(places[0] - places[1]).reshape(n_p, 6).mean(axis=0)
+    return means
 
 
 class Asked(NamedTuple):

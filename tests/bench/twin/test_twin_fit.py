@@ -128,6 +128,7 @@ def test_edges_are_told_where_voltages_were_not_recorded(tmp_path: Path) -> None
     twin = fit([run])
     assert {one.name.partition(".")[0] for one in twin.quantities} == {"hall"}
     assert "winding, inverter, shaft: no voltages (u_alpha, u_beta, u_dc) recorded" in twin.untold
+    assert "where the encoder's zero lies: hall.offset_deg is by the encoder as it is" in twin.untold
     offset = drive.truth["hall.offset_deg"] + drive.truth["encoder.offset_deg"]  # nothing tells the encoder's own
     assert twin["hall.offset_deg"].value == pytest.approx(offset, abs=0.1)
 
@@ -192,6 +193,7 @@ def test_noise_in_what_is_known_makes_nothing_smaller_and_is_no_information(seed
     assert np.linalg.lstsq(A, y)[0][0] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.long("records five seconds of a drive, fits and follows them")
 def test_an_encoder_may_stand_at_any_angle_and_run_backwards(tmp_path: Path) -> None:
     """The control goes by the Hall sensors, whose wires are exchanged and inverted as the firmware knows."""
     wires = {"firmware.hall_swap_hat": 4, "firmware.hall_invert_hat": 2, "firmware.encoder_reverse": 1}
