@@ -36,6 +36,7 @@ _COMMANDS = {
     "response": "Measure the frequency response of a loop: margins, coherence.",
     "hall": "Check the Hall sensors; learn their edge angles; read other tools' tables.",
     "replay": "Run observers on a recording, beside the drive's own.",
+    "twin": "Fit the simulated drive to recordings; compare the two.",
     "study": "Run many simulated drives through the same tests: yield, causes.",
     "tune": "Tune parameters of loops and observers on many drives or on recordings.",
     "score": "Rank position observers on recordings by error, lag and cost.",

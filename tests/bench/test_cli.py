@@ -27,6 +27,7 @@ COMMANDS += [
     "response",
     "hall",
     "replay",
+    "twin",
     "study",
     "tune",
     "score",

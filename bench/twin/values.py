@@ -1,0 +1,63 @@
+"""Values of a configuration that recordings told, each number with what is known of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bench.commission.quantity import Quantity
+
+Number = float | int | list[float]
+DIGITS = 7
+"""Of numbers in the file."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """Of one dotted key; `told`: a quantity for each number that the recordings told, in the drive's own units."""
+
+    key: str
+    value: Number
+    told: tuple[Quantity, ...] = ()
+
+    @property
+    def comment(self) -> str:
+        """Intervals for the TOML, in words."""
+        widths = ", ".join(f"{one.half_width:.2g}" for one in self.told)
+        wide = ", ".join(f"{one.absolute_half_width():.2g}" for one in self.told)
+        unit = f"{self.told[0].unit}, " if self.told[0].unit else ""
+        absolute = "" if wide == widths else f" in the drive's own volts and amperes; +- {wide} absolute"
+        return f"{unit}95 %: +- {widths}{absolute}"
+
+
+def as_json(told: Sequence[Quantity]) -> list[dict[str, Any]]:
+    """Plain data."""
+    return [
+        {
+            "name": one.name, "unit": one.unit, "value": one.value, "half_width_95": one.half_width,
+            "absolute_half_width_95": one.absolute_half_width(), "dominated_by": one.dominated_by or None,
+        }
+        for one in told
+    ]  # fmt: skip
+
+
+def toml(values: Mapping[str, Number], comments: Mapping[str, str], head: Sequence[str]) -> str:
+    """A configuration of these dotted keys, sections in their order."""
+    sections: dict[str, list[str]] = {}
+    for key, value in values.items():
+        section, _, name = key.rpartition(".")
+        told = [f"{one:.{DIGITS}g}" for one in value] if isinstance(value, list) else None
+        written = (
+            f"[{', '.join(told)}]"
+            if told is not None
+            else str(value)
+            if isinstance(value, int)
+            else f"{value:.{DIGITS}g}"
+        )
+        comment = f" # {comments[key]}" if key in comments else ""
+        sections.setdefault(section, []).append(f"{name} = {written}{comment}")
+    lines = [f"# {line}".rstrip() for line in head]
+    for section, rows in sections.items():
+        lines += ["", f"[{section}]", *rows]
+    return "\n".join(lines) + "\n"
