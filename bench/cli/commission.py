@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,20 +22,46 @@ from bench.files import STANDARD_OUTPUT, write
 if TYPE_CHECKING:
     from bench.cli.output import Progress
     from bench.commission.command import Commissioned
-    from bench.commission.quantity import Quantity
+    from bench.commission.meters import Ammeter, Reading
     from bench.rig.person import Answered, Ask
 
-_PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k"}
-_TITLES = {
-    "u_dc": "DC link voltage", "noise": "noise of a current sensor", "R_s": "resistance of a phase",
-    "U_dead": "dead time's volts", "t_dead": "dead time, effective", "L_d": "L_d without current",
-    "L_q": "L_q without current", "L_d_half": "L_d at half the current", "L_q_half": "L_q at half the current",
-    "n_p": "electrical turns in one of the shaft", "encoder_zero": "encoder's zero", "psi_f": "flux linkage",
-    "psi_f_blind": "flux linkage, without the encoder", "L_d_run": "L_d at speed", "L_q_run": "L_q under torque",
-    "encoder_delay": "delay of the encoder", "current_delay": "delay of the currents", "J": "inertia of the shaft",
-    "b": "viscous friction", "tau_c": "dry friction", "hall_offset": "Hall ring", "hall_delay": "delay of Hall edges",
-    "step_misfit": "a step of i_d against the model", "R_rough": "resistance, rough", "L_rough": "inductance, rough",
-}  # fmt: skip
+
+class _Voltmeter(click.ParamType["Reading"]):
+    """A reading in V, with the instrument's accuracy in percent behind a colon, or not."""
+
+    name = "reading"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Reading:
+        """Read it, or say why not."""
+        from bench.commission.meters import VOLTMETER, Reading
+
+        volts, accuracy = _accuracy(self, value, VOLTMETER, param, ctx)
+        return Reading(Number(above=0).convert(volts, param, ctx), accuracy)
+
+
+class _Ammeter(click.ParamType["Ammeter"]):
+    """A phase, with the instrument's accuracy in percent behind a colon, or not."""
+
+    name = "phase"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Ammeter:
+        """Read it, or say why not."""
+        from bench.commission import meters
+
+        phase, accuracy = _accuracy(self, value, meters.AMMETER, param, ctx)
+        if phase not in ("a", "b", "c"):
+            self.fail(f"'{phase}' is no phase: say in which of a, b and c the ammeter is", param, ctx)
+        return meters.Ammeter(phase, accuracy, lambda words: click.prompt(words, type=Number(), err=True))
+
+
+def _accuracy(
+    of: click.ParamType[Any], value: Any, usual: float, param: click.Parameter | None, ctx: click.Context | None
+) -> tuple[str, float]:
+    """What stands before the colon, and the accuracy, as a share."""
+    found = re.fullmatch(r"\s*([^:]*?)\s*(?::\s*([^:%]+?)\s*%\s*)?", str(value))
+    if found is None:
+        of.fail(f"'{value}' has no accuracy in percent behind its colon, such as 24.13:0.1%", param, ctx)
+    return found[1], usual if found[2] is None else Number(above=0).convert(found[2], param, ctx) / 100.0
 
 
 @click.command("commission")
@@ -48,6 +74,12 @@ _TITLES = {
               )  # fmt: skip
 @click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0),
               help="Largest speed that the shaft may turn at, r/min [default: of a simulated drive its limit]."
+              )  # fmt: skip
+@click.option("--voltmeter", metavar="V[:%]", type=_Voltmeter(),
+              help="What a voltmeter at the DC link reads while the drive is at rest, and its accuracy, such as "
+              "24.13:0.1% [accuracy: 0.5%].")  # fmt: skip
+@click.option("--ammeter", metavar="PHASE[:%]", type=_Ammeter(),
+              help="An ammeter is in this phase (a, b, c): a current is held until you have read it [accuracy: 1%]."
               )  # fmt: skip
 @click.option("-o", "--out", metavar="TOML", type=FILE,
               help="Write the parameters that were found, for bench param load.")  # fmt: skip
@@ -132,37 +164,7 @@ def _evidence(report: Path) -> dict[str, Path]:
 
 def _print(done: Commissioned) -> None:
     from bench.cli.output import table
+    from bench.commission import words
 
-    found, rough = done.found, {"R_rough": "R_s", "L_rough": "L_d"}
-    shown = [_row(q) for name, q in found.items() if name in _TITLES and rough.get(name) not in found]
     echo(f"{done.drive.title}, up to {done.i_max:g} A, {done.seconds:.0f} s of drive time")
-    table(["quantity", "value", "95 %, drive's units", "mostly", "95 %, absolute", "mostly"], shown)
-
-
-def _row(quantity: Quantity) -> list[str]:
-    return [
-        _TITLES[quantity.name], _told(quantity.value, quantity.unit), _width(quantity, quantity.half_width),
-        quantity.dominated_by, _width(quantity, quantity.absolute_half_width()), quantity.absolutely_dominated_by(),
-    ]  # fmt: skip
-
-
-def _width(quantity: Quantity, half_width: float) -> str:
-    share = 100.0 * half_width / abs(quantity.value) if quantity.value else math.inf
-    if quantity.unit == "rad" or quantity.name == "step_misfit" or share >= 100.0:
-        return f"+- {_told(half_width, quantity.unit, 2)}"
-    return f"+- {share:.2g} %"
-
-
-def _told(value: float, unit: str, digits: int = 4) -> str:
-    """As a person reads it: angles in degrees, shares in percent, others with the prefix of the unit that fits."""
-    if unit == "rad":
-        return f"{_rounded(math.degrees(value), digits)} deg"
-    if unit == "1":
-        return f"{_rounded(100.0 * value, digits)} %"
-    exponent = 3 * math.floor(math.log10(abs(value)) / 3.0) if value else 0
-    exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
-    return f"{_rounded(value / 10.0**exponent, digits)} {_PREFIXES[exponent]}{unit}".rstrip()
-
-
-def _rounded(value: float, digits: int) -> str:
-    return f"{float(f'{value:.{digits}g}'):g}"
+    table(*words.table(done.found.values(), done.converters))

@@ -10,9 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bench.commission.meters import Ammeter, Reading
 from bench.commission.outcome import Outcome, found_by
 from bench.commission.parameters import toml
-from bench.commission.quantity import USUAL, Quantity
+from bench.commission.quantity import USUAL, Converters, Quantity
 from bench.commission.refusal import Refused
 from bench.commission.sequence import Step, chosen
 from bench.commission.stand import NEED, Stand, channels
@@ -52,6 +53,9 @@ class Options:
     yes: bool = False
     config: Path | None = None
     operator: str = ""
+    voltmeter: Reading | None = None
+    """At the DC link, read while the drive is at rest."""
+    ammeter: Ammeter | None = None
 
 
 @dataclass
@@ -66,6 +70,8 @@ class Commissioned:
     """Why a step claims nothing, by the step's name."""
     seconds: float = 0.0
     """Of drive time."""
+    converters: Converters = USUAL
+    """What is known of the drive's own volts and amperes."""
 
     @property
     def found(self) -> dict[str, Quantity]:
@@ -89,21 +95,25 @@ class Commissioned:
 
     def as_toml(self) -> tuple[str, list[str]]:
         """See `bench.commission.parameters.toml`."""
-        return toml(self.found, self.settings, self.drive)
+        return toml(self.found, self.settings, self.drive, self.converters)
 
     def as_json(self) -> dict[str, Any]:
         """Plain data, SI units."""
+        known = self.converters
         told: dict[str, Any] = finite({
             "drive": dict(self.drive.identity),
             "current": self.i_max,
             "seconds": self.seconds,
-            "converters": {"volts": USUAL.volts, "amperes": USUAL.amperes},
+            "converters": {
+                "volts": known.volts, "amperes": known.common_amperes,
+                "volts_gain": known.volts_gain, "amperes_gain": known.amperes_gain,
+            },
             "quantities": {
                 name: {
                     "value": q.value, "unit": q.unit, "parts": dict(q.parts),
                     "half_width": q.half_width, "dominated_by": q.dominated_by,
-                    "absolute_half_width": q.absolute_half_width(),
-                    "absolutely_dominated_by": q.absolutely_dominated_by(),
+                    "absolute": q.absolute_value(known), "absolute_half_width": q.absolute_half_width(known),
+                    "absolutely_dominated_by": q.absolutely_dominated_by(known),
                 }
                 for name, q in self.found.items()
             },
@@ -123,7 +133,9 @@ def commission(
     After a step that can claim nothing, those that need it are not taken, and after a trip none: what was found stands,
     and `refused` says why.
     """
-    steps = chosen(options.steps)
+    steps = chosen(options.steps, options.ammeter is not None)
+    if options.ammeter is not None and ask is None:
+        raise BenchError("an ammeter needs somebody at a terminal, who reads it while the current is held")
     if options.report is not None:
         check_directory(options.report, f"--report {options.report}", make=True)
         options.report.mkdir(parents=True, exist_ok=True)
@@ -151,7 +163,7 @@ def commission(
         recording = Recording(_in(options.report, RUN_NAME), {"test": "commission"}, overwrite=options.overwrite)
         rig.prepare([channels(rig)], recording, held=True, full=True)
         began = rig.tick()
-        stand = Stand(rig, i_max)
+        stand = Stand(rig, i_max, options.voltmeter, options.ammeter)
         missing: set[str] = set()
         for step in steps:
             if missing & set(step.needs) or rig.drive.faults or rig.drive.ran_away:
@@ -164,6 +176,7 @@ def commission(
             screen.progress(step.name)
             if not _take(rig, stand, step, done, partial(_write, options.report)):
                 missing.add(step.name)
+        done.converters = stand.converters
         done.seconds = (rig.tick() - began) / rig.recorder.tick_hz
     if options.report is not None:
         _dump(options.report / FOUND, done.as_json())
