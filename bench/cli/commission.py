@@ -15,13 +15,14 @@ from bench.cli.files import DIRECTORY, FILE, check_files, config_option, json_op
 from bench.cli.number import Number
 from bench.cli.options import Names, operator_option, yes_option
 from bench.cli.streams import echo, note
-from bench.cli.target import simulated_figures, target_argument
+from bench.cli.target import NO_TARGET, simulated_figures, target_argument
 from bench.errors import ExitCode
 from bench.files import STANDARD_OUTPUT, write
 
 if TYPE_CHECKING:
     from bench.cli.output import Progress
-    from bench.commission.command import Commissioned
+    from bench.commission.commissioned import Commissioned
+    from bench.commission.comparison import Comparison
     from bench.commission.meters import Ammeter, Reading
     from bench.rig.person import Answered, Ask
 
@@ -65,7 +66,7 @@ def _accuracy(
 
 
 @click.command("commission")
-@target_argument()
+@target_argument(needed=False)
 @click.option("--step", "steps", metavar="NAMES", type=Names(),
               help="Steps, with commas between them, and those that they need: offsets, first-current, resistance (r), "
               "inductance (l), turn, spin, check [default: all].")  # fmt: skip
@@ -84,15 +85,19 @@ def _accuracy(
 @click.option("-o", "--out", metavar="TOML", type=FILE,
               help="Write the parameters that were found, for bench param load.")  # fmt: skip
 @click.option("--report", metavar="DIR", type=DIRECTORY,
-              help="Write the evidence of each step to this folder: recording, pictures, fits.")  # fmt: skip
+              help="Write report.html to this folder, with the recording, pictures and fits of the steps.")  # fmt: skip
+@click.option("--compare", "compare", metavar="JSON", multiple=True, type=FILE,
+              help="Compare what was found with an earlier commissioning, by its --json or found.json. Given twice, "
+              "the old one first, it compares these two, without a drive.")  # fmt: skip
 @yes_option
 @config_option
 @operator_option("stored in the recording")
 @json_option("what was found")
 @overwrite_option
 def command(
-    target: str, out: Path | None, report: Path | None, json_file: Path | None, overwrite: bool, **given: Any
-) -> None:
+    target: str | None, out: Path | None, report: Path | None, json_file: Path | None, overwrite: bool,
+    compare: tuple[Path, ...], **given: Any,
+) -> None:  # fmt: skip
     """Find out what an unknown motor is, step by step: windings, wires, sensors, shaft.
 
     Each step says before it begins what it will do, and asks. Offsets and noise of the current sensors come first, then
@@ -113,8 +118,27 @@ def command(
       bench commission sim --config gimbal-4310 -o found.toml --report found
       bench commission serial:/dev/ttyACM0 --current 6 --step r -o found.toml
       bench commission serial:/dev/ttyACM0 --current 6 --speed 3000 -o found.toml
+      bench commission sim --voltmeter 24.05:0.1% --report found
+      bench commission sim --compare found/found.json
+      bench commission --compare before/found.json --compare found/found.json
     """
+    if len(compare) > 2:
+        raise click.UsageError("--compare is given more than twice: give the old one, or the old and the new one")
+    from bench.commission import comparison
+
+    before = [comparison.read(path) for path in compare]
     files = {"--json": json_file, "--out": out}
+    if len(before) == 2:
+        check_files(files, overwrite, compare)
+        changed = comparison.compared(*before)
+        if json_file is not None:
+            write_json(json_file, changed.as_json())
+        if json_file != STANDARD_OUTPUT:
+            _print_comparison(changed)
+        return
+    if target is None:
+        raise click.UsageError(NO_TARGET)
+    given["before"] = before[0] if before else None
     given["config"] = simulated_figures(target, given["config"])
     given["steps"] = given["steps"] or None
     evidence = {} if report is None or not report.is_dir() else _evidence(report)
@@ -133,6 +157,10 @@ def command(
         write_json(json_file, done.as_json())
     if json_file != STANDARD_OUTPUT:
         _print(done)
+        if done.comparison is not None:
+            _print_comparison(done.comparison)
+    if report is not None:
+        note(f"report: {report / 'report.html'}")
     for words in [*done.remarks, *left]:
         note(f"warning: {words}")
     for step, reason in done.refused.items():
@@ -168,3 +196,13 @@ def _print(done: Commissioned) -> None:
 
     echo(f"{done.drive.title}, up to {done.i_max:g} A, {done.seconds:.0f} s of drive time")
     table(*words.table(done.found.values(), done.converters))
+
+
+def _print_comparison(changed: Comparison) -> None:
+    from bench.cli.output import table
+    from bench.commission.comparison import COLUMNS
+
+    echo("")
+    table(COLUMNS, changed.rows)
+    for words in changed.words:
+        echo(words)

@@ -18,7 +18,8 @@ from PIL import Image
 
 import bench
 from bench.cli import cli
-from bench.commission.command import Commissioned, Options, commission
+from bench.commission.command import Options, commission
+from bench.commission.commissioned import Commissioned
 from bench.commission.sequence import STEPS, chosen
 from bench.errors import BenchError, Interrupted, UnsafeError
 from bench.param import dump

@@ -19,7 +19,8 @@ from plant_watch import PlantWatch
 from test_commission_command import R, run_on
 
 from bench.cli import cli
-from bench.commission.command import Commissioned, Options, commission
+from bench.commission.command import Options, commission
+from bench.commission.commissioned import Commissioned
 from bench.commission.meters import Ammeter, Reading, by_ammeter, by_voltmeter
 from bench.commission.quantity import USUAL, Converters, Quantity
 from bench.errors import BenchError
