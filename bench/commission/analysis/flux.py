@@ -125,7 +125,8 @@ def rows(
             back = np.exp(-1j * (0.5 * (th[1:] + th[:-1]) - turned[0] - turned[1] * w))
             middle = 0.5 * (i[1:] + i[:-1])
             v, i_dq = (u[part][1:] - R * middle) * back, middle * back
-            changed = abs(i_dq[: n // 2].mean() - i_dq[n // 2 :].mean())
+            even = i_dq - middle.mean() * back  # a loop keeps even what its sensors show, with their offsets
+            changed = abs(even[: n // 2].mean() - even[n // 2 :].mean())
             as_streamed = i_dq.mean() * np.exp(-1j * (turned[0] + turned[1] * w))
             if changed <= STEADY * size and abs(as_streamed - window.i_ref) <= MET * size:
                 found.append((w, np.sinc(0.5 * w * window.T / math.pi), v.mean(), i_dq.mean()))

@@ -16,8 +16,8 @@ class PlantWatch:
     """Looks at every period that a simulated device runs from now on."""
 
     def __init__(self, device: SimulatedDevice) -> None:
-        self.largest, self.fastest, self.now = 0.0, 0.0, 0j
-        """A, of a phase; rad/s of the shaft; A, the mean current vector of what it ran last."""
+        self.largest, self.fastest, self.now, self.highest = 0.0, 0.0, 0j, 0.0
+        """A, of a phase; rad/s of the shaft; A, the mean current vector of what it ran last; V of the DC link."""
         self._advance = device.bench.advance
         device.bench.advance = self._looked_at  # type: ignore[method-assign]
 
@@ -28,6 +28,7 @@ class PlantWatch:
             phases = [np.abs((vector * np.exp(-1j * axis)).real).max() for axis in AXES.values()]
             self.largest = max(self.largest, float(max(phases)))
             self.fastest = max(self.fastest, float(np.abs(recorded["omega_m"]).max()))
+            self.highest = max(self.highest, float(recorded["u_dc"].max()))
             self.now = complex(vector.mean())
         return recorded
 
