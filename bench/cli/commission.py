@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from bench.cli.output import Progress
     from bench.commission.commissioned import Commissioned
     from bench.commission.comparison import Comparison
-    from bench.commission.meters import Ammeter, Reading
+    from bench.commission.meters import Reading
     from bench.rig.person import Answered, Ask
 
 
@@ -40,19 +41,19 @@ class _Voltmeter(click.ParamType["Reading"]):
         return Reading(Number(above=0).convert(volts, param, ctx), accuracy)
 
 
-class _Ammeter(click.ParamType["Ammeter"]):
+class _Ammeter(click.ParamType[tuple[str, float]]):
     """A phase, with the instrument's accuracy in percent behind a colon, or not."""
 
     name = "phase"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Ammeter:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
         """Read it, or say why not."""
-        from bench.commission import meters
+        from bench.commission.meters import AMMETER
 
-        phase, accuracy = _accuracy(self, value, meters.AMMETER, param, ctx)
+        phase, accuracy = _accuracy(self, value, AMMETER, param, ctx)
         if phase not in ("a", "b", "c"):
             self.fail(f"'{phase}' is no phase: say in which of a, b and c the ammeter is", param, ctx)
-        return meters.Ammeter(phase, accuracy, lambda words: click.prompt(words, type=Number(), err=True))
+        return phase, accuracy
 
 
 def _accuracy(
@@ -145,9 +146,13 @@ def command(
     check_files(files | evidence, overwrite, [given["config"]], recordings=evidence.keys())
     from bench.cli.output import Progress
     from bench.commission.command import Options, commission
+    from bench.commission.meters import Ammeter
 
     with Progress() as screen:
         confirm = screen.confirm if sys.stdin.isatty() else None
+        if given["ammeter"] is not None:
+            phase, accuracy = given["ammeter"]
+            given["ammeter"] = Ammeter(phase, accuracy, partial(_typed, screen))
         options = Options(target, report=report, overwrite=overwrite, **given)
         done = commission(options, screen, confirm, _asking(screen) if confirm is not None else None)
     text, left = done.as_toml()
@@ -181,6 +186,14 @@ def _asking(screen: Progress) -> Ask | None:
         screen.resume()
 
     return ask if at_terminal() else None
+
+
+def _typed(screen: Progress, words: str) -> float:
+    """A number that somebody types."""
+    screen.pause()
+    number: float = click.prompt(words, type=Number(), err=True)
+    screen.resume()
+    return number
 
 
 def _evidence(report: Path) -> dict[str, Path]:

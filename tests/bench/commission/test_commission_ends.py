@@ -96,10 +96,8 @@ def test_a_link_that_is_lost_at_any_moment_leaves_it_off(number: int) -> None:
     assert not ended.device.bench.outputs_on
     assert ended.device.drive.state != DriveState.RUNNING
     assert ended.within_what_was_agreed_to(), (ended.moment, ended.watch.largest, ended.watch.fastest)
-    after, volatile = (
-        dict(ended.device.bench.parameters),
-        [p.name for p in DRIVE_PARAMETERS if Flag.VOLATILE in p.flags],
-    )
+    after = dict(ended.device.bench.parameters)
+    volatile = [parameter.name for parameter in DRIVE_PARAMETERS if Flag.VOLATILE in parameter.flags]
     assert {name: after[name] for name in volatile} == {name: ended.before[name] for name in volatile}
     changed = [name for name, value in ended.before.items() if after[name] != value]
     told = str(ended.raised) + " ".join(getattr(ended.raised, "__notes__", []))

@@ -74,6 +74,7 @@ def test_what_was_refused_stands_before_what_was_found(tmp_path: Path) -> None:
     assert "resistance of a phase" not in page.text
 
 
+@pytest.mark.long("a commissioning up to the resistance, with pictures")
 def test_what_was_not_found_is_to_be_checked_by_hand(tmp_path: Path) -> None:
     page, _ = reported(tmp_path, steps=("r",))
     assert "count the magnets" in page.text

@@ -131,6 +131,7 @@ def test_what_an_instrument_cannot_have_read_is_told_before_anything_flows() -> 
     assert never_armed(wire)
 
 
+@pytest.mark.long("windings, beside an ammeter")
 @pytest.mark.parametrize(("off", "words"), [(0.0, "it is not in phase a"), (1.4, "they do not measure the same thing")])
 def test_an_ammeter_elsewhere_is_told_and_the_rest_stands(off: float, words: str) -> None:
     ammeter = Ammeter("a", 1e-3, lambda words: math.nan)
