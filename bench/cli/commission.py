@@ -130,6 +130,8 @@ def command(
     before = [comparison.read(path) for path in compare]
     files = {"--json": json_file, "--out": out}
     if len(before) == 2:
+        if out is not None or report is not None:
+            raise click.UsageError("two files are compared without a drive: -o and --report have nothing to write")
         check_files(files, overwrite, compare)
         changed = comparison.compared(*before)
         if json_file is not None:
@@ -145,7 +147,7 @@ def command(
     evidence = {} if report is None or not report.is_dir() else _evidence(report)
     check_files(files | evidence, overwrite, [given["config"]], recordings=evidence.keys())
     from bench.cli.output import Progress
-    from bench.commission.command import Options, commission
+    from bench.commission.command import REPORT, Options, commission
     from bench.commission.meters import Ammeter
 
     with Progress() as screen:
@@ -165,7 +167,7 @@ def command(
         if done.comparison is not None:
             _print_comparison(done.comparison)
     if report is not None:
-        note(f"report: {report / 'report.html'}")
+        note(f"report: {report / REPORT}")
     for words in [*done.remarks, *left]:
         note(f"warning: {words}")
     for step, reason in done.refused.items():

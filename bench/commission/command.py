@@ -19,7 +19,7 @@ from bench.commission.sequence import Step, chosen
 from bench.commission.stand import NEED, Stand, channels
 from bench.commission.steps import turn
 from bench.errors import BenchError
-from bench.files import RUN, check_directory, finite, write
+from bench.files import RUN, check_directory, check_output, finite, write
 from bench.param import history
 from bench.param.sources import of_node
 from bench.rig.connection import SIM, open_target
@@ -39,7 +39,7 @@ from protocol import __version__
 from protocol.messages import Feature
 
 RUN_NAME = f"commission{RUN}"
-FOUND = "found.json"
+FOUND, REPORT = "found.json", "report.html"
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,7 @@ def commission(
     if options.report is not None:
         check_directory(options.report, f"--report {options.report}", make=True)
         options.report.mkdir(parents=True, exist_ok=True)
+        check_output(options.report / REPORT, f"report {options.report / REPORT}", options.overwrite)
     envelope = Envelope(_announced_rpm(steps, options), math.inf if options.current_a is None else options.current_a)
     station = read_settings(None)
     settings = replace(station, operator=options.operator or station.operator, config=options.config, load="none")
@@ -119,10 +120,10 @@ def commission(
     if options.before is not None and done.found:
         done.comparison = compared(options.before, done.as_json())
     if options.report is not None:
-        from bench.commission.report import write_report
+        from bench.commission.report import as_html
 
         _dump(options.report / FOUND, done.as_json())
-        write_report(options.report, done)
+        write(options.report / REPORT, as_html(options.report, done), f"report {options.report / REPORT}")
     return done
 
 

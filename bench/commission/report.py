@@ -10,14 +10,12 @@ from bench.commission.commissioned import Commissioned
 from bench.commission.comparison import COLUMNS
 from bench.commission.parameters import parameters_of
 from bench.commission.quantity import USUAL
-from bench.files import write
 from bench.param.table import same
 from bench.report.html import embedded, page
 from bench.report.words import NOT_STATED, date
 from bench.signal.verdict import Verdict
 from bench.signal.versions import PROGRAM
 
-NAME = "report.html"
 NEEDED, UNSURE = ("R_s", "L_d", "L_q", "L_d_half", "L_q_half", "t_dead", "psi_f", "J", "b", "tau_c"), 0.05
 """Quantities by which drives are set, and the share of one that its half width may be without being told."""
 UNTOLD = {"u_dc_max": "the voltage that the drive bears", "i_cont": "the current that the winding bears for ever",
@@ -25,15 +23,8 @@ UNTOLD = {"u_dc_max": "the voltage that the drive bears", "i_cont": "the current
 """Parameters that no measurement tells."""
 
 
-def write_report(folder: Path, done: Commissioned) -> Path:
-    """Write it beside the steps' pictures in `folder`, and return its path. Raises BenchError."""
-    path = folder / NAME
-    write(path, as_html(folder, done), f"report {path}")
-    return path
-
-
 def as_html(folder: Path, done: Commissioned) -> str:
-    """The page; pictures are read from `folder`."""
+    """The page; the steps' pictures are read from `folder`."""
     titles, rows = words.table(done.found.values(), done.converters)
     look = Verdict.PASS if not done.refused else Verdict.FAIL if not done.found else Verdict.INCOMPLETE
     return page(

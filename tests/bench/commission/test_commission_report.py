@@ -16,6 +16,7 @@ from test_comparison import a_file
 from bench.commission.commissioned import Commissioned
 from bench.commission.meters import Reading
 from bench.commission.report import as_html
+from bench.errors import BenchError
 from tests.bench.accept.page import Page
 from tests.bench.virtual_run import WatchedLink, simulated
 
@@ -81,6 +82,16 @@ def test_what_was_not_found_is_to_be_checked_by_hand(tmp_path: Path) -> None:
     assert "the drive's volts are believed to 0.5 % (one standard deviation)" in page.text
     assert page.subject["Instruments"].startswith("none")
     assert page.subject["Agreed to"] == "8 A"
+
+
+def test_the_report_of_another_program_is_not_overwritten_unasked(tmp_path: Path) -> None:
+    (tmp_path / "report.html").write_text("of an acceptance")
+    link = WatchedLink(simulated())
+    with pytest.raises(BenchError, match=r"report\.html exists"):
+        run_on(link, steps=("offsets",), report=tmp_path)
+    assert not link.calls
+    run_on(link, steps=("offsets",), report=tmp_path, overwrite=True)
+    assert "Commissioning of" in (tmp_path / "report.html").read_text()
 
 
 def test_a_report_without_its_pictures_is_one(tmp_path: Path) -> None:

@@ -167,6 +167,8 @@ def test_two_files_are_compared_without_a_drive(tmp_path: Path) -> None:
     ended = invoked("--compare", old, "--compare", new, "--compare", new)
     assert ended.exit_code == 2
     assert "more than twice" in ended.output
+    ended = invoked("--compare", old, "--compare", new, "--report", tmp_path / "report")
+    assert "-o and --report have nothing to write" in ended.output
     assert "cannot be read" in str(invoked("sim", "--compare", tmp_path / "none.json").exception)
 
 
@@ -181,3 +183,32 @@ def test_a_run_is_compared_with_the_one_before(tmp_path: Path) -> None:
     assert "resistance +12 %; the flux was not compared: a winding that is 30 K warmer, or a contact" in ended.stdout
     again = invoked("sim", "--step", "r", "--compare", old)
     assert "nothing has changed beyond both intervals" in again.stdout
+
+
+SHAFT = "[mechanics]\nJ = 2e-4\nb = 1e-4\ntau_coulomb = 5e-3\n"
+"""That of the default, which would else follow from the flux."""
+
+
+@pytest.mark.campaign("commission")
+@pytest.mark.long("three whole commissionings")
+def test_a_motor_in_a_warm_room_is_warmer_and_one_that_lost_flux_is_not(tmp_path: Path) -> None:
+    """By the plant's own laws of copper and magnets; then its magnets are weaker in the same room."""
+    old = tmp_path / "old.json"
+    warming = "R_th_winding = 1.0\nmagnet = -0.0011\nambient = "
+    configs = {
+        "cool": f"[thermal]\n{warming}20.0\n",
+        "warm": f"[thermal]\n{warming}50.0\n",
+        "weak": f"[thermal]\n{warming}20.0\n[motor]\npsi_f = 6.2e-3\n{SHAFT}",
+    }
+    for name, text in configs.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+    assert invoked("sim", "--config", tmp_path / "cool.toml", "--json", old).exit_code == 0
+    warm, weak = (
+        invoked("sim", "--config", tmp_path / f"{name}.toml", "--compare", old).stdout for name in ("warm", "weak")
+    )
+    assert re.search(r"the motor is warmer, its winding by about (29|30|31) K, and its magnets are too", warm), warm
+    assert "demagnetised" not in warm
+    assert re.search(r"flux -5.3 %, and the resistance has not changed: the magnets are demagnetised in part", weak), (
+        weak
+    )
+    assert not re.search("warmer|bearings|slipped|attached|another motor", weak), weak
