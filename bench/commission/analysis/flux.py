@@ -49,6 +49,8 @@ FAST = 0.2
 """Of the largest speed, below which a part tells nothing."""
 LEAST_PARTS, LEAST_TORQUE = 3, 4
 """Parts with each sign of the current, and under torque."""
+WHOLE = 0.9
+"""Turns from which on a part is one: what is left of its current in the mean does not turn."""
 TURNS = 6
 """Times that the frame is turned at most; each time leaves a small part of the error before."""
 
@@ -125,7 +127,8 @@ def rows(
             back = np.exp(-1j * (0.5 * (th[1:] + th[:-1]) - turned[0] - turned[1] * w))
             middle = 0.5 * (i[1:] + i[:-1])
             v, i_dq = (u[part][1:] - R * middle) * back, middle * back
-            even = i_dq - middle.mean() * back  # a loop keeps even what its sensors show, with their offsets
+            whole = abs(th[-1] - th[0]) > WHOLE * math.tau
+            even = i_dq - middle.mean() * back if whole else i_dq  # sensors' offsets, which a loop takes for current
             changed = abs(even[: n // 2].mean() - even[n // 2 :].mean())
             as_streamed = i_dq.mean() * np.exp(-1j * (turned[0] + turned[1] * w))
             if changed <= STEADY * size and abs(as_streamed - window.i_ref) <= MET * size:
