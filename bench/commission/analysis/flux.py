@@ -128,7 +128,10 @@ def rows(
             middle = 0.5 * (i[1:] + i[:-1])
             v, i_dq = (u[part][1:] - R * middle) * back, middle * back
             whole = abs(th[-1] - th[0]) > WHOLE * math.tau
-            even = i_dq - middle.mean() * back if whole else i_dq  # sensors' offsets, which a loop takes for current
+            if whole:  # less what does not turn: the sensors' offsets, which a loop takes for current
+                even = i_dq - (middle.mean() - i_dq.mean() * back.conj().mean()) * back
+            else:
+                even = i_dq
             changed = abs(even[: n // 2].mean() - even[n // 2 :].mean())
             as_streamed = i_dq.mean() * np.exp(-1j * (turned[0] + turned[1] * w))
             if changed <= STEADY * size and abs(as_streamed - window.i_ref) <= MET * size:
