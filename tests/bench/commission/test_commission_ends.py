@@ -15,7 +15,7 @@ from plant_watch import PlantWatch
 from test_commission_command import left_alone
 
 from bench.commission.command import Options, commission
-from bench.errors import Interrupted, OutputsMayBeOn
+from bench.errors import BenchError, Interrupted, OutputsMayBeOn
 from protocol.errors import LinkClosed
 from protocol.messages import DriveState, Fault
 from protocol.signals import DRIVE_PARAMETERS, Flag
@@ -41,7 +41,7 @@ class EndedAt:
         self.device = SimulatedDevice(load_params(None, self.of.config), number)
         self.watch, self.before = PlantWatch(self.device), dict(self.device.bench.parameters)
         self.link = WatchedLink(self.device, self._look)
-        self.happened, self.raised = False, None
+        self.happened, self.on, self.raised = False, False, None
         self._happens = happens
         given = Options(TARGET, current_a=SHARE * self.of.i_max, speed_rpm=FAST * self.of.rpm)
         with ExitStack() as stack:
@@ -54,7 +54,8 @@ class EndedAt:
 
     def _look(self, call: int) -> None:
         if self.device.periods >= self.moment * self.device.pwm_hz:
-            self.happened = True
+            if not self.happened:
+                self.happened, self.on = True, self.device.bench.outputs_on
             self._happens(self.link)
 
     def within_what_was_agreed_to(self) -> bool:
@@ -91,7 +92,7 @@ def test_a_link_that_is_lost_at_any_moment_leaves_it_off(number: int) -> None:
     if not ended.happened:
         assert ended.raised is None
         return
-    assert isinstance(ended.raised, OutputsMayBeOn), ended.raised
+    assert isinstance(ended.raised, OutputsMayBeOn if ended.on else BenchError | LinkClosed), ended.raised
     ended.device.advance(round(2.0 * WATCHDOG * ended.device.pwm_hz))
     assert not ended.device.bench.outputs_on
     assert ended.device.drive.state != DriveState.RUNNING
