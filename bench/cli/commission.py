@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import math
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,31 +16,58 @@ from bench.cli.files import DIRECTORY, FILE, check_files, config_option, json_op
 from bench.cli.number import Number
 from bench.cli.options import Names, operator_option, yes_option
 from bench.cli.streams import echo, note
-from bench.cli.target import simulated_figures, target_argument
+from bench.cli.target import NO_TARGET, simulated_figures, target_argument
 from bench.errors import ExitCode
 from bench.files import STANDARD_OUTPUT, write
 
 if TYPE_CHECKING:
     from bench.cli.output import Progress
-    from bench.commission.command import Commissioned
-    from bench.commission.quantity import Quantity
+    from bench.commission.commissioned import Commissioned
+    from bench.commission.comparison import Comparison
+    from bench.commission.meters import Reading
     from bench.rig.person import Answered, Ask
 
-_PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k"}
-_TITLES = {
-    "u_dc": "DC link voltage", "noise": "noise of a current sensor", "R_s": "resistance of a phase",
-    "U_dead": "dead time's volts", "t_dead": "dead time, effective", "L_d": "L_d without current",
-    "L_q": "L_q without current", "L_d_half": "L_d at half the current", "L_q_half": "L_q at half the current",
-    "n_p": "electrical turns in one of the shaft", "encoder_zero": "encoder's zero", "psi_f": "flux linkage",
-    "psi_f_blind": "flux linkage, without the encoder", "L_d_run": "L_d at speed", "L_q_run": "L_q under torque",
-    "encoder_delay": "delay of the encoder", "current_delay": "delay of the currents", "J": "inertia of the shaft",
-    "b": "viscous friction", "tau_c": "dry friction", "hall_offset": "Hall ring", "hall_delay": "delay of Hall edges",
-    "step_misfit": "a step of i_d against the model", "R_rough": "resistance, rough", "L_rough": "inductance, rough",
-}  # fmt: skip
+
+class _Voltmeter(click.ParamType["Reading"]):
+    """A reading in V, with the instrument's accuracy in percent behind a colon, or not."""
+
+    name = "reading"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Reading:
+        """Read it, or say why not."""
+        from bench.commission.meters import VOLTMETER, Reading
+
+        volts, accuracy = _accuracy(self, value, VOLTMETER, param, ctx)
+        return Reading(Number(above=0).convert(volts, param, ctx), accuracy)
+
+
+class _Ammeter(click.ParamType[tuple[str, float]]):
+    """A phase, with the instrument's accuracy in percent behind a colon, or not."""
+
+    name = "phase"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
+        """Read it, or say why not."""
+        from bench.commission.meters import AMMETER
+
+        phase, accuracy = _accuracy(self, value, AMMETER, param, ctx)
+        if phase not in ("a", "b", "c"):
+            self.fail(f"'{phase}' is no phase: say in which of a, b and c the ammeter is", param, ctx)
+        return phase, accuracy
+
+
+def _accuracy(
+    of: click.ParamType[Any], value: Any, usual: float, param: click.Parameter | None, ctx: click.Context | None
+) -> tuple[str, float]:
+    """What stands before the colon, and the accuracy, as a share."""
+    found = re.fullmatch(r"\s*([^:]*?)\s*(?::\s*([^:%]+?)\s*%\s*)?", str(value))
+    if found is None:
+        of.fail(f"'{value}' has no accuracy in percent behind its colon, such as 24.13:0.1%", param, ctx)
+    return found[1], usual if found[2] is None else Number(above=0).convert(found[2], param, ctx) / 100.0
 
 
 @click.command("commission")
-@target_argument()
+@target_argument(needed=False)
 @click.option("--step", "steps", metavar="NAMES", type=Names(),
               help="Steps, with commas between them, and those that they need: offsets, first-current, resistance (r), "
               "inductance (l), turn, spin, check [default: all].")  # fmt: skip
@@ -52,18 +80,28 @@ _TITLES = {
 @click.option("--pole-pairs", metavar="N", type=click.IntRange(1, 64),
               help="Pole pairs of the motor, without an encoder: nothing else tells them but one turn of the shaft by "
               "hand, which is asked for; with one they are compared with what it shows.")  # fmt: skip
+@click.option("--voltmeter", metavar="V[:%]", type=_Voltmeter(),
+              help="What a voltmeter at the DC link reads while the drive is at rest, and its accuracy, such as "
+              "24.13:0.1% [accuracy: 0.5%].")  # fmt: skip
+@click.option("--ammeter", metavar="PHASE[:%]", type=_Ammeter(),
+              help="An ammeter is in this phase (a, b, c): a current is held until you have read it [accuracy: 1%]."
+              )  # fmt: skip
 @click.option("-o", "--out", metavar="TOML", type=FILE,
               help="Write the parameters that were found, for bench param load.")  # fmt: skip
 @click.option("--report", metavar="DIR", type=DIRECTORY,
-              help="Write the evidence of each step to this folder: recording, pictures, fits.")  # fmt: skip
+              help="Write report.html to this folder, with the recording, pictures and fits of the steps.")  # fmt: skip
+@click.option("--compare", "compare", metavar="JSON", multiple=True, type=FILE,
+              help="Compare what was found with an earlier commissioning, by its --json or found.json. Given twice, "
+              "the old one first, it compares these two, without a drive.")  # fmt: skip
 @yes_option
 @config_option
 @operator_option("stored in the recording")
 @json_option("what was found")
 @overwrite_option
 def command(
-    target: str, out: Path | None, report: Path | None, json_file: Path | None, overwrite: bool, **given: Any
-) -> None:
+    target: str | None, out: Path | None, report: Path | None, json_file: Path | None, overwrite: bool,
+    compare: tuple[Path, ...], **given: Any,
+) -> None:  # fmt: skip
     """Find out what an unknown motor is, step by step: windings, wires, sensors, shaft.
 
     Each step says before it begins what it will do, and asks. Offsets and noise of the current sensors come first, then
@@ -86,17 +124,42 @@ def command(
       bench commission serial:/dev/ttyACM0 --current 6 --step r -o found.toml
       bench commission serial:/dev/ttyACM0 --current 6 --speed 3000 -o found.toml
       bench commission serial:/dev/ttyACM0 --current 6 --speed 3000 --pole-pairs 7 -o found.toml
+      bench commission sim --voltmeter 24.05:0.1% --report found
+      bench commission sim --compare found/found.json
+      bench commission --compare before/found.json --compare found/found.json
     """
+    if len(compare) > 2:
+        raise click.UsageError("--compare is given more than twice: give the old one, or the old and the new one")
+    from bench.commission import comparison
+
+    before = [comparison.read(path) for path in compare]
     files = {"--json": json_file, "--out": out}
+    if len(before) == 2:
+        if out is not None or report is not None:
+            raise click.UsageError("two files are compared without a drive: -o and --report have nothing to write")
+        check_files(files, overwrite, compare)
+        changed = comparison.compared(*before)
+        if json_file is not None:
+            write_json(json_file, changed.as_json())
+        if json_file != STANDARD_OUTPUT:
+            _print_comparison(changed)
+        return
+    if target is None:
+        raise click.UsageError(NO_TARGET)
+    given["before"] = before[0] if before else None
     given["config"] = simulated_figures(target, given["config"])
     given["steps"] = given["steps"] or None
     evidence = {} if report is None or not report.is_dir() else _evidence(report)
     check_files(files | evidence, overwrite, [given["config"]], recordings=evidence.keys())
     from bench.cli.output import Progress
-    from bench.commission.command import Options, commission
+    from bench.commission.command import REPORT, Options, commission
+    from bench.commission.meters import Ammeter
 
     with Progress() as screen:
         confirm = screen.confirm if sys.stdin.isatty() else None
+        if given["ammeter"] is not None:
+            phase, accuracy = given["ammeter"]
+            given["ammeter"] = Ammeter(phase, accuracy, partial(_typed, screen))
         options = Options(target, report=report, overwrite=overwrite, **given)
         done = commission(options, screen, confirm, _asking(screen) if confirm is not None else None)
     text, left = done.as_toml()
@@ -106,6 +169,10 @@ def command(
         write_json(json_file, done.as_json())
     if json_file != STANDARD_OUTPUT:
         _print(done)
+        if done.comparison is not None:
+            _print_comparison(done.comparison)
+    if report is not None:
+        note(f"report: {report / REPORT}")
     for words in [*done.remarks, *left]:
         note(f"warning: {words}")
     for step, reason in done.refused.items():
@@ -128,6 +195,14 @@ def _asking(screen: Progress) -> Ask | None:
     return ask if at_terminal() else None
 
 
+def _typed(screen: Progress, words: str) -> float:
+    """A number that somebody types."""
+    screen.pause()
+    number: float = click.prompt(words, type=Number(), err=True)
+    screen.resume()
+    return number
+
+
 def _evidence(report: Path) -> dict[str, Path]:
     """What stands for all of a report: its recording, whose name no other program writes."""
     from bench.commission.command import RUN_NAME
@@ -137,37 +212,17 @@ def _evidence(report: Path) -> dict[str, Path]:
 
 def _print(done: Commissioned) -> None:
     from bench.cli.output import table
+    from bench.commission import words
 
-    found, rough = done.found, {"R_rough": "R_s", "L_rough": "L_d"}
-    shown = [_row(q) for name, q in found.items() if name in _TITLES and rough.get(name) not in found]
     echo(f"{done.drive.title}, up to {done.i_max:g} A, {done.seconds:.0f} s of drive time")
-    table(["quantity", "value", "95 %, drive's units", "mostly", "95 %, absolute", "mostly"], shown)
+    table(*words.table(done.found.values(), done.converters))
 
 
-def _row(quantity: Quantity) -> list[str]:
-    return [
-        _TITLES[quantity.name], _told(quantity.value, quantity.unit), _width(quantity, quantity.half_width),
-        quantity.dominated_by, _width(quantity, quantity.absolute_half_width()), quantity.absolutely_dominated_by(),
-    ]  # fmt: skip
+def _print_comparison(changed: Comparison) -> None:
+    from bench.cli.output import table
+    from bench.commission.comparison import COLUMNS
 
-
-def _width(quantity: Quantity, half_width: float) -> str:
-    share = 100.0 * half_width / abs(quantity.value) if quantity.value else math.inf
-    if quantity.unit == "rad" or quantity.name == "step_misfit" or share >= 100.0:
-        return f"+- {_told(half_width, quantity.unit, 2)}"
-    return f"+- {share:.2g} %"
-
-
-def _told(value: float, unit: str, digits: int = 4) -> str:
-    """As a person reads it: angles in degrees, shares in percent, others with the prefix of the unit that fits."""
-    if unit == "rad":
-        return f"{_rounded(math.degrees(value), digits)} deg"
-    if unit == "1":
-        return f"{_rounded(100.0 * value, digits)} %"
-    exponent = 3 * math.floor(math.log10(abs(value)) / 3.0) if value else 0
-    exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
-    return f"{_rounded(value / 10.0**exponent, digits)} {_PREFIXES[exponent]}{unit}".rstrip()
-
-
-def _rounded(value: float, digits: int) -> str:
-    return f"{float(f'{value:.{digits}g}'):g}"
+    echo("")
+    table(COLUMNS, changed.rows)
+    for words in changed.words:
+        echo(words)

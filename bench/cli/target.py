@@ -104,6 +104,9 @@ def _like_a_target(word: str) -> bool:
     return word == "sim" or any(mark in name for mark in ":/\\.")
 
 
+NO_TARGET = "no TARGET: name one, set $BENCH_TARGET, or let `bench init` write a bench.toml"
+
+
 def target_argument(
     name: str = "target", kind: TargetType = TARGET, metavar: str | None = None, needed: bool = True
 ) -> Callable[[Command], Command]:
@@ -116,9 +119,7 @@ def target_argument(
         if given is not None or context.resilient_parsing:
             return given
         if (target := bench_target()) is None and needed:
-            raise click.UsageError(
-                "no TARGET: name one, set $BENCH_TARGET, or let `bench init` write a bench.toml", context
-            )
+            raise click.UsageError(NO_TARGET, context)
         return target
 
     return click.argument(name, cls=TargetArgument, type=kind, metavar=metavar, required=False, callback=choose)

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bench.commission.outcome import Outcome, found_by
-from bench.commission.parameters import toml
-from bench.commission.quantity import USUAL, Quantity
+from bench.commission.commissioned import Commissioned
+from bench.commission.comparison import compared
+from bench.commission.meters import Ammeter, Reading
+from bench.commission.outcome import Outcome
 from bench.commission.refusal import Refused
 from bench.commission.sequence import Step, chosen
 from bench.commission.stand import NEED, Stand, channels
 from bench.commission.steps import turn
 from bench.errors import BenchError
-from bench.files import RUN, check_directory, finite, write
+from bench.files import RUN, check_directory, check_output, finite, write
+from bench.param import history
 from bench.param.sources import of_node
-from bench.param.table import Parameters
 from bench.rig.connection import SIM, open_target
 from bench.rig.consent import check_limits, require_consent
 from bench.rig.envelope import Envelope
@@ -30,13 +31,15 @@ from bench.rig.outputs import Recording
 from bench.rig.person import Ask
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
-from bench.rig.settings import read_settings
+from bench.rig.settings import Settings, read_settings
 from bench.signal.units import RPM
 from bench.signal.verdict import Verdict
+from bench.signal.versions import PROGRAM
+from protocol import __version__
 from protocol.messages import Feature
 
 RUN_NAME = f"commission{RUN}"
-FOUND = "found.json"
+FOUND, REPORT = "found.json", "report.html"
 
 
 @dataclass(frozen=True)
@@ -54,66 +57,11 @@ class Options:
     yes: bool = False
     config: Path | None = None
     operator: str = ""
-
-
-@dataclass
-class Commissioned:
-    """What was found, step by step, and what was not."""
-
-    drive: Parameters
-    """The drive's parameters before."""
-    i_max: float
-    outcomes: dict[str, Outcome] = field(default_factory=dict)
-    refused: dict[str, str] = field(default_factory=dict)
-    """Why a step claims nothing, by the step's name."""
-    seconds: float = 0.0
-    """Of drive time."""
-
-    @property
-    def found(self) -> dict[str, Quantity]:
-        """All quantities by name."""
-        return found_by(self.outcomes.values())
-
-    @property
-    def settings(self) -> dict[str, float]:
-        """Parameters that follow from what was found, beside those that are quantities."""
-        return {name: value for outcome in self.outcomes.values() for name, value in outcome.settings.items()}
-
-    @property
-    def remarks(self) -> list[str]:
-        """What is to be known beside."""
-        return [words for outcome in self.outcomes.values() for words in outcome.remarks]
-
-    def refuse(self, refused: Refused) -> None:
-        """That is not claimed; a step may have several reasons."""
-        before = self.refused.get(refused.step)
-        self.refused[refused.step] = refused.reason if before is None else f"{before}; {refused.reason}"
-
-    def as_toml(self) -> tuple[str, list[str]]:
-        """See `bench.commission.parameters.toml`."""
-        return toml(self.found, self.settings, self.drive)
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain data, SI units."""
-        told: dict[str, Any] = finite({
-            "drive": dict(self.drive.identity),
-            "current": self.i_max,
-            "seconds": self.seconds,
-            "converters": {"volts": USUAL.volts, "amperes": USUAL.amperes},
-            "quantities": {
-                name: {
-                    "value": q.value, "unit": q.unit, "parts": dict(q.parts),
-                    "half_width": q.half_width, "dominated_by": q.dominated_by,
-                    "absolute_half_width": q.absolute_half_width(),
-                    "absolutely_dominated_by": q.absolutely_dominated_by(),
-                }
-                for name, q in self.found.items()
-            },
-            "settings": self.settings,
-            "refused": dict(self.refused),
-            "remarks": self.remarks,
-        })  # fmt: skip
-        return told
+    voltmeter: Reading | None = None
+    """At the DC link, read while the drive is at rest."""
+    ammeter: Ammeter | None = None
+    before: Mapping[str, Any] | None = None
+    """An earlier commissioning that this one is compared with, see `bench.commission.comparison.read`."""
 
 
 def commission(
@@ -125,10 +73,13 @@ def commission(
     After a step that can claim nothing, those that need it are not taken, and after a trip none: what was found stands,
     and `refused` says why.
     """
-    steps = chosen(options.steps)
+    steps = chosen(options.steps, options.ammeter is not None)
+    if options.ammeter is not None and ask is None:
+        raise BenchError("an ammeter needs somebody at a terminal, who reads it while the current is held")
     if options.report is not None:
         check_directory(options.report, f"--report {options.report}", make=True)
         options.report.mkdir(parents=True, exist_ok=True)
+        check_output(options.report / REPORT, f"report {options.report / REPORT}", options.overwrite)
     envelope = Envelope(_announced_rpm(steps, options), math.inf if options.current_a is None else options.current_a)
     station = read_settings(None)
     settings = replace(station, operator=options.operator or station.operator, config=options.config, load="none")
@@ -149,11 +100,11 @@ def commission(
             for step in () if agreed else energising:
                 screen.note(f"will do {said[step]}")
             require_consent(node, options.target, rig.drive.envelope, options.yes, confirm)
-        done = Commissioned(of_node(node, options.target), i_max)
+        done = Commissioned(of_node(node, options.target), i_max, about=_about(options, settings, agreed_to.rpm))
         recording = Recording(_in(options.report, RUN_NAME), {"test": "commission"}, overwrite=options.overwrite)
         rig.prepare([channels(rig)], recording, held=True, full=True)
         began = rig.tick()
-        stand = Stand(rig, i_max)
+        stand = Stand(rig, i_max, options.voltmeter, options.ammeter)
         stand.pole_pairs, stand.by_hand = options.pole_pairs, ask is not None and not agreed
         missing: set[str] = set()
         for step in steps:
@@ -167,10 +118,31 @@ def commission(
             screen.progress(step.name)
             if not _take(rig, stand, step, done, partial(_write, options.report)):
                 missing.add(step.name)
+        done.converters = stand.converters
         done.seconds = (rig.tick() - began) / rig.recorder.tick_hz
+    if options.before is not None and done.found:
+        done.comparison = compared(options.before, done.as_json())
     if options.report is not None:
+        from bench.commission.report import as_html
+
         _dump(options.report / FOUND, done.as_json())
+        write(options.report / REPORT, as_html(options.report, done), f"report {options.report / REPORT}")
     return done
+
+
+def _about(options: Options, settings: Settings, rpm: float) -> dict[str, Any]:
+    """What a report and a later comparison say of this one."""
+    volts, amperes = options.voltmeter, options.ammeter
+    instruments = []
+    if volts is not None:
+        instruments.append(f"a voltmeter that reads {volts.value:g} V, to {100.0 * volts.accuracy:g} %")
+    if amperes is not None:
+        instruments.append(f"an ammeter in phase {amperes.phase}, to {100.0 * amperes.accuracy:g} %")
+    return {
+        "started": history.now(), "target": options.target,
+        "motor": settings.motor, "station": settings.station, "operator": settings.operator,
+        "rpm": rpm, "instruments": instruments, PROGRAM: __version__,
+    }  # fmt: skip
 
 
 def _agreed_current(rig: Rig, options: Options) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from bench.commission.quantity import Quantity
+from bench.commission.quantity import USUAL, Converters, Quantity
 from bench.param import dump, history
 from bench.param.table import Parameters
 
@@ -29,7 +29,9 @@ def parameters_of(found: Mapping[str, Quantity]) -> dict[str, Quantity]:
     return told
 
 
-def toml(found: Mapping[str, Quantity], settings: Mapping[str, float], of: Parameters) -> tuple[str, list[str]]:
+def toml(
+    found: Mapping[str, Quantity], settings: Mapping[str, float], of: Parameters, converters: Converters = USUAL
+) -> tuple[str, list[str]]:
     """A dump of what was found and of `settings`, which follow from it, and what the drive does not take, in words.
 
     `of`: the drive's parameters, which tell names, ranges and meanings.
@@ -47,16 +49,17 @@ def toml(found: Mapping[str, Quantity], settings: Mapping[str, float], of: Param
         if not lo <= value <= hi:
             left.append(f"{name} = {value:.4g} {entry.unit} is beyond the drive's range, {lo:g} to {hi:g}")
             continue
-        known = f"95 %: {interval(measured[name])}" if name in measured else "by what was found"
+        known = f"95 %: {interval(measured[name], converters)}" if name in measured else "by what was found"
         entries[name] = replace(entry, value=value, meaning=known)
     told = Parameters(of.title, entries, of.identity)
     return dump.text(told, history.now(), history.who(), REASON), left
 
 
-def interval(quantity: Quantity) -> str:
-    """Both intervals in words, for a comment."""
-    by = quantity.dominated_by
+def interval(quantity: Quantity, converters: Converters = USUAL) -> str:
+    """Both intervals in words, for a comment; the absolute value where it is another."""
+    by, absolute = quantity.dominated_by, quantity.absolute_value(converters)
+    other = f"{absolute:.5g} " if absolute != quantity.value else ""
     return (
         f"+- {quantity.half_width:.2g} in the drive's own volts and amperes{f', mostly {by}' if by else ''}; "
-        f"+- {quantity.absolute_half_width():.2g} absolute"
+        f"{other}+- {quantity.absolute_half_width(converters):.2g} absolute"
     )

@@ -2,7 +2,8 @@
 
 A drive knows volts by its measurement of the DC link, and amperes by its current sensors. Loops and observers compute
 in these units, so the gains of the converters do not matter to them. They do to ohms, henries and newton metres, and
-cannot be measured from inside: `absolute` adds them.
+cannot be measured from inside: `absolute` adds them. Instruments beside the drive can (`bench.commission.meters`), and
+then an absolute value may be another than the drive's own.
 """
 
 from __future__ import annotations
@@ -17,17 +18,22 @@ COVERAGE = 1.959963984540054
 
 @dataclass(frozen=True)
 class Converters:
-    """Standard deviations of the gains of a drive's converters, relative."""
+    """Gains of a drive's converters, its units over true ones, and their standard deviations, relative."""
 
     volts: float = 0.005
     """Of the measurement of the DC link."""
     amperes: float = 0.005
     """Of the current sensor of one phase; the three are independent."""
+    volts_gain: float = 1.0
+    amperes_gain: float = 1.0
+    """Of the mean of the three phases. Both are 1 as long as nobody has measured them."""
+    measured_amperes: float | None = None
+    """Standard deviation of that gain, once it was measured."""
 
     @property
     def common_amperes(self) -> float:
         """Of the mean of the three phases: what the magnitude of a current vector has."""
-        return self.amperes / math.sqrt(3.0)
+        return self.amperes / math.sqrt(3.0) if self.measured_amperes is None else self.measured_amperes
 
 
 USUAL = Converters()
@@ -59,18 +65,27 @@ class Quantity:
         """Of the 95 % interval in the drive's units."""
         return COVERAGE * self.sd
 
+    def absolute_value(self, converters: Converters = USUAL) -> float:
+        """The value in true volts and amperes, as far as the gains are known."""
+        return self.value / self._gain(converters)
+
     def absolute(self, converters: Converters = USUAL) -> float:
         """Standard deviation of the value as one in SI units, with the converters' gains."""
-        return math.hypot(self.sd, *self._gains(converters).values())
+        return math.hypot(self.sd / self._gain(converters), *self._gains(converters).values())
 
     def absolute_half_width(self, converters: Converters = USUAL) -> float:
         """Of the 95 % interval in SI units."""
         return COVERAGE * self.absolute(converters)
 
+    def _gain(self, converters: Converters) -> float:
+        gain: float = converters.volts_gain**self.volts * converters.amperes_gain**self.amperes
+        return gain
+
     def _gains(self, converters: Converters) -> dict[str, float]:
+        value = abs(self.absolute_value(converters))
         return {
-            "gain of the DC link voltage": abs(self.value * self.volts) * converters.volts,
-            "gain of the currents": abs(self.value * self.amperes) * converters.common_amperes,
+            "gain of the DC link voltage": value * abs(self.volts) * converters.volts,
+            "gain of the currents": value * abs(self.amperes) * converters.common_amperes,
         }
 
     @property

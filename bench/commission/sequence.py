@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bench.commission.outcome import Outcome
 from bench.commission.stand import Stand
-from bench.commission.steps import check, first_current, inductance, offsets, resistance, spun, turn
+from bench.commission.steps import ammeter, check, first_current, inductance, offsets, resistance, spun, turn
 from bench.errors import BenchError
 from bench.rig.envelope import Envelope
 from protocol.text import did_you_mean
@@ -48,8 +48,18 @@ STEPS = (
 """In their order."""
 
 
-def chosen(names: Iterable[str] | None) -> tuple[Step, ...]:
-    """The steps of these names, None: all, with all that they need, in their order. BenchError for an unknown name."""
+_AMMETER = Step(ammeter.STEP, (), (resistance.STEP,), True, ammeter.announcement, ammeter.perform)
+
+
+def chosen(names: Iterable[str] | None, with_ammeter: bool = False) -> tuple[Step, ...]:
+    """The steps of these names, None: all, with all that they need, in their order. BenchError for an unknown name.
+
+    `with_ammeter`: also that which holds a current for one, right after the resistance.
+    """
+    if with_ammeter:
+        steps = chosen([resistance.STEP, *(step.name for step in chosen(names))])
+        after = steps.index(STEPS[2]) + 1
+        return (*steps[:after], _AMMETER, *steps[after:])
     if names is None:
         return STEPS
     known = {name: step for step in STEPS for name in (step.name, *step.aliases)}

@@ -17,8 +17,9 @@ import numpy as np
 from bench.commission.analysis.dragged import Dragged
 from bench.commission.analysis.hall_order import HallOrder
 from bench.commission.gains import Limits
+from bench.commission.meters import Ammeter, Reading
 from bench.commission.outcome import Outcome, found_by
-from bench.commission.quantity import Quantity
+from bench.commission.quantity import USUAL, Converters, Quantity
 from bench.commission.refusal import Refused
 from bench.commission.window import Edges, Floats, Wave, Window
 from bench.errors import BenchError
@@ -85,9 +86,14 @@ class Turned:
 class Stand:
     """The drive of a prepared `rig`, with at most `i_max` A, peak, and what is known of it so far."""
 
-    def __init__(self, rig: Rig, i_max: float) -> None:
+    def __init__(
+        self, rig: Rig, i_max: float, voltmeter: Reading | None = None, ammeter: Ammeter | None = None
+    ) -> None:
         self.rig = rig
         self.i_max = i_max
+        self.voltmeter, self.ammeter = voltmeter, ammeter
+        self.converters: Converters = USUAL
+        """What is known of the drive's own volts and amperes."""
         self.step = "prepare"
         """The step that is under way: what a refusal names."""
         self.T = 1.0 / rig.drive.node.identity.pwm_hz

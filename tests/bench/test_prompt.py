@@ -142,3 +142,12 @@ def test_yes_spins_it(drive: PhysicalDrive) -> None:
     assert DriveState.RUNNING in drive.states
     assert drive.device.drive.state == DriveState.IDLE
     assert not drive.device.drive.app.outputs_on
+
+
+@pytest.mark.long("a commissioning up to the resistance")
+def test_an_ammeter_is_read_while_the_current_is_held_and_typed_in_after_it() -> None:
+    arguments = ["commission", "sim", "--step", "r", "--ammeter", "b:0.2%"]
+    asked = rb"read the ammeter in phase b, about 4 A, then press Enter: "
+    code, text = dialogue(arguments, [(asked, b"\n"), (rb"ammeter in phase b, A: ", b"3.9\n")])
+    assert code == 0, text
+    assert re.search(r"the ammeter reads 3.9 A, the drive (3.9|4)\S* A, \+2.\d+ %: more than is usual", text), text

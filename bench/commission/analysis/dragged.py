@@ -34,6 +34,8 @@ ZERO_FLOOR = 0.01
 """rad, sd of the rough zero: cogging holds the rotor back by places."""
 SAMPLES = 2000
 """That the number of electrical turns is told by, evenly spread."""
+COUNTS, COARSE = 4.0, 5e-3
+"""Counts by which an encoder may move from sample to sample beside the flux, and rad of one where nobody tells."""
 PLACES = 400
 """Places of a turn, of which both ways must have been at the same ones."""
 
@@ -110,6 +112,21 @@ def rough_flux(windows: Sequence[Window], L: float, current: float) -> float:
         w = float(angle[-1] - angle[0]) / (window.T * max(len(angle) - 1, 1))
         told.append(float(window.u_dq.imag.mean()) / w if w else 0.0)
     return max(float(np.mean(told)) - L * current, 0.0)
+
+
+def jump(windows: Sequence[Window], lines: int) -> float:
+    """rad by which the encoder's angle jumps, at most, from one sample to the next; 0.0 for no more than counts.
+
+    With the drive's n_p at 1 meanwhile, so that this is the shaft. A counter jumps where its index sets it right.
+    """
+    largest = 0.0
+    count = math.tau / (4 * lines) if lines else COARSE
+    for window in windows:
+        moved = np.diff(unwrapped(np.asarray(window.theta)))
+        made = float(np.abs(np.diff(unwrapped(window.control))).max(initial=0.0))
+        most = float(np.abs(moved).max(initial=0.0))
+        largest = max(largest, most if most > made + COUNTS * count else 0.0)
+    return largest
 
 
 def _shaft(windows: Sequence[Window], n_p: int, encoder_zero: float) -> list[tuple[Floats, Floats]]:

@@ -54,6 +54,8 @@ FAST = 0.2
 """Of the largest speed, below which a part tells nothing."""
 LEAST_PARTS, LEAST_TORQUE = 3, 4
 """Parts with each sign of the current, and under torque."""
+WHOLE = 0.9
+"""Turns from which on a part is one: what is left of its current in the mean does not turn."""
 TURNS = 6
 """Times that the frame is turned at most; each time leaves a small part of the error before."""
 
@@ -130,7 +132,12 @@ def rows(
             back = np.exp(-1j * (0.5 * (th[1:] + th[:-1]) - turned[0] - turned[1] * w))
             middle = 0.5 * (i[1:] + i[:-1])
             v, i_dq = (u[part][1:] - R * middle) * back, middle * back
-            changed = abs(i_dq[: n // 2].mean() - i_dq[n // 2 :].mean())
+            whole = abs(th[-1] - th[0]) > WHOLE * math.tau
+            if whole:  # less what does not turn: the sensors' offsets, which a loop takes for current
+                even = i_dq - (middle.mean() - i_dq.mean() * back.conj().mean()) * back
+            else:
+                even = i_dq
+            changed = abs(even[: n // 2].mean() - even[n // 2 :].mean())
             as_streamed = i_dq.mean() * np.exp(-1j * (turned[0] + turned[1] * w))
             if changed <= STEADY * size and abs(as_streamed - window.i_ref) <= MET * size:
                 found.append((w, np.sinc(0.5 * w * window.T / math.pi), v.mean(), i_dq.mean()))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench.commission.meters import by_voltmeter
 from bench.commission.outcome import Evidence, Outcome, Panel
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
@@ -78,7 +79,11 @@ def perform(stand: Stand) -> Outcome:
     stand.offsets = np.zeros(3)
     found = analyse(stand.run(SECONDS, "off"), stand.i_max)
     stand.offsets, stand.noise, stand.u_dc = found.offsets, found.noise, found.u_dc
-    return found.outcome
+    if stand.voltmeter is None:
+        return found.outcome
+    u_dc = found.outcome["u_dc"]
+    stand.converters, remarks = by_voltmeter(STEP, u_dc.value, u_dc.sd, stand.voltmeter, stand.converters)
+    return replace(found.outcome, remarks=tuple(remarks))
 
 
 def announcement(agreed: Envelope) -> str:

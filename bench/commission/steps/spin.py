@@ -69,8 +69,8 @@ ENDS = 0.12
 """Of the speed at the top, at which a coast ends."""
 COAST, LAPS, MOST_LAPS = 2.0, 2, 8
 """s of coasting each way, and laps: a light rotor coasts briefly."""
-TRIP = 1.05
-"""Times the agreed speed at which the drive itself trips meanwhile."""
+TRIP = 0.97
+"""Times the agreed speed at which the drive itself trips meanwhile: it sees it late, and the host may be gone."""
 
 
 @dataclass(frozen=True)

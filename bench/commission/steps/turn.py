@@ -23,7 +23,7 @@ from bench.commission.refusal import Refused
 from bench.commission.stand import Stand, Turned
 from bench.commission.steps.without_encoder import counted_by_hand, run_on_halls
 from bench.commission.window import Floats, Window
-from bench.findings.finding import Finding
+from bench.findings.finding import Finding, degrees
 from bench.rig.envelope import Envelope
 from bench.signal.position import unwrapped
 from bench.signal.units import RPM
@@ -66,11 +66,25 @@ def perform(stand: Stand) -> Outcome:
     with stand.running(STEP):
         stand.ramp(0.05 * current, current, 0.6, 30)
         stand.wait(0.4)
-        up, down = (_way(stand, way * _speed(stand)) for way in (1.0, -1.0))
+        lines = int(stand.rig.drive.parameters.get("encoder_lines", 0))
+        up, down, moved = _both_ways(stand, lines)
+        if moved:  # a counter that its index has set right is believed from then on
+            up, down, again = _both_ways(stand, lines)
+            if again:
+                raise Refused(
+                    STEP, f"the encoder's angle jumps by {degrees(again)} of the shaft where it has been before: its "
+                    "index pulse comes at more places than one, it loses counts, or its lines are not "
+                    f"{lines or 'as the drive has them'}"
+                )  # fmt: skip
         stand.current(0.0)
         stand.wait(0.02)
-    lines = int(stand.rig.drive.parameters.get("encoder_lines", 0))
     outcome, turned = analyse(up, down, lines, current, stand.i_max)
+    if moved:
+        told = (
+            f"the encoder's index came by and moved its angle by {degrees(moved)} of the shaft: after each power-on "
+            "the angle, and encoder_zero with it, is true only once the shaft has turned past the index"
+        )
+        outcome = replace(outcome, remarks=(*outcome.remarks, told))
     found = turned.dragged
     if found is None:
         psi = dragged.rough_flux([up, down], stand.L, current)
@@ -121,6 +135,12 @@ def _blind(stand: Stand, outcome: Outcome, turned: Turned, psi: float) -> tuple[
 def _speed(stand: Stand) -> float:
     """rad/s, electrical, within the agreed speed whatever the pole pairs are."""
     return min(SPEED, MARGIN * stand.rpm * RPM)
+
+
+def _both_ways(stand: Stand, lines: int) -> tuple[Window, Window, float]:
+    """The two ways, and by how much the encoder has jumped meanwhile, rad of the shaft."""
+    up, down = (_way(stand, way * _speed(stand)) for way in (1.0, -1.0))
+    return up, down, dragged.jump([up, down], lines) if up.theta is not None else 0.0
 
 
 def _way(stand: Stand, omega: float) -> Window:

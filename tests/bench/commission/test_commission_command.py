@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import signal
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,12 +17,13 @@ from PIL import Image
 
 import bench
 from bench.cli import cli
-from bench.commission.command import Commissioned, Options, commission
+from bench.commission.command import Options, commission
+from bench.commission.commissioned import Commissioned
 from bench.commission.sequence import STEPS, chosen
-from bench.errors import BenchError, Interrupted, UnsafeError
+from bench.errors import BenchError, UnsafeError
 from bench.param import dump
 from sim.ports.device import SimulatedDevice
-from tests.bench.virtual_run import TARGET, RecordingScreen, WatchedLink, never_armed, physical, raising, simulated
+from tests.bench.virtual_run import TARGET, RecordingScreen, WatchedLink, never_armed, physical, simulated
 
 R, L, DEAD, PSI, J, N_P = 0.158, 0.176e-3, 1e-6, 6.55e-3, 2e-4, 6
 """Of the simulated drive as it is."""
@@ -250,33 +250,4 @@ def test_a_bus_that_is_too_slow_turns_nothing() -> None:
     done = run_on(link)
     assert "the link does not carry every PWM period" in done.refused["turn"]
     assert set(done.outcomes) == {"offsets", "first-current", "resistance", "inductance", "check"}
-    assert left_alone(link.device, before)
-
-
-def calls_of_a_run() -> int:
-    link = WatchedLink(simulated())
-    run_on(link)
-    return link.calls
-
-
-@pytest.mark.slow
-@pytest.mark.long("six runs")
-def test_so_it_is_after_a_signal_at_any_moment() -> None:
-    calls = calls_of_a_run()
-    for share in (0.05, 0.3, 0.55, 0.8, 0.97):
-        link = WatchedLink(simulated(), raising(signal.SIGINT, int(share * calls)))
-        before = dict(link.device.bench.parameters)
-        with pytest.raises((Interrupted, KeyboardInterrupt)):
-            run_on(link)
-        assert left_alone(link.device, before), share
-
-
-@pytest.mark.campaign("commission")
-@pytest.mark.parametrize("number", range(100))
-def test_a_hundred_signals_leave_it_off_and_as_it_was(number: int) -> None:
-    calls = calls_of_a_run()
-    link = WatchedLink(simulated(seed=number), raising(signal.SIGINT, 1 + (number * 7919 + 13) % calls))
-    before = dict(link.device.bench.parameters)
-    with pytest.raises((Interrupted, KeyboardInterrupt)):
-        run_on(link)
     assert left_alone(link.device, before)

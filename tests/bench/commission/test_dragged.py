@@ -10,7 +10,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from bench.commission.analysis.dragged import dragged
+from bench.commission.analysis.dragged import dragged, jump
 from bench.commission.analysis.hall_order import (
     BACKWARD,
     FORWARD,
@@ -78,6 +78,26 @@ def test_the_drives_own_pole_pairs_and_zero_are_taken_out() -> None:
     assert told.n_p == n_p
     # the shaft's angle was unwrapped from another of the electrical turns, which are alike
     assert wrapped(told.zero.value - before.zero.value) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_counter_that_its_index_sets_right_jumps_and_one_that_counts_does_not() -> None:
+    """By half a degree of the shaft and more, at any place, also across the wrap of the angle."""
+    rng = np.random.default_rng(24)
+    for seed in range(6):
+        bench, ways, _ = draw(seed)
+        shafts = [replace(w, theta=np.unwrap(w.theta) / bench.motor.n_p) for way in ways for w in way]
+        lines = 3600
+        assert jump([replace(w, theta=_counted(w.theta, lines)) for w in shafts], lines) == 0.0
+        for by in rng.uniform(math.radians(0.5), math.pi, 5) * rng.choice([-1.0, 1.0], 5):
+            at = int(rng.integers(1, len(shafts[0])))
+            jumped = shafts[0].theta + by * (np.arange(len(shafts[0])) >= at)
+            told = jump([replace(shafts[0], theta=_counted(jumped, lines)), shafts[1]], lines)
+            assert told == pytest.approx(abs(by), abs=0.015 + math.tau / lines)
+
+
+def _counted(shaft: np.ndarray, lines: int) -> np.ndarray:
+    """As an encoder has it, and wrapped."""
+    return (np.floor(shaft / math.tau * 4 * lines) / (4 * lines) * math.tau + math.pi) % math.tau - math.pi
 
 
 def test_an_encoder_that_counts_backwards_is_told() -> None:

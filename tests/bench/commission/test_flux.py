@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.commission.analysis.back_emf import flux_by_back_emf
-from bench.commission.analysis.flux import compensated, flux
+from bench.commission.analysis.flux import compensated, flux, rows
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
 from bench.commission.window import Window
@@ -176,3 +176,18 @@ def test_parts_in_which_the_current_changes_do_not_count() -> None:
             window = replace(window, i=window.i + phases)
         spoilt.append(window)
     assert flux(spoilt, *known(bench.motor)).psi.value == pytest.approx(bench.motor.psi, rel=1e-3)
+
+
+def test_sensors_offsets_do_not_make_a_steady_current_unsteady() -> None:
+    """A loop keeps what its sensors show: what they are off by turns in the frame of the rotor. A jump is a jump."""
+    rng = np.random.default_rng(5)
+    _, windows, i_max = draw(5, noise=0.0)
+    turn = math.tau / float(np.abs(rows(windows, 0.1, ("d+", "d-")).w).max())
+    steady = lambda of: len(rows(of, 0.1, ("d+", "d-"), seconds=turn).w)  # noqa: E731
+    usual = steady(windows)
+    assert usual > 20
+    for size in (0.01, 0.03, 0.06):
+        off = size * i_max * np.array([0.67, -1.0, 0.33])[rng.permutation(3), None]
+        assert steady([replace(w, i=w.i + off) for w in windows]) == usual, size
+    jumping = [replace(w, i=w.i * np.where(np.arange(len(w)) // 200 % 2, 0.9, 1.1)) for w in windows]
+    assert steady(jumping) < usual
