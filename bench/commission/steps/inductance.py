@@ -208,14 +208,14 @@ def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[floa
     fits = [fitted(law, [0.1]) for law in LAWS]
     law, best = LAWS[0], fits[0]
     spread = 0.5 * max(abs(float(each.x[0] - best.x[0])) for each in fits[1:])
-    other_law, other = min(
-        ((each, fitted(each, start)) for each, start in OTHERS[q_axis]), key=lambda o: _squares(o[1])
-    )
-    nearer = _squares(best) - _squares(other)
-    if nearer > SURE**2:
-        law, best = other_law, other
-    elif nearer > 0.0:
-        spread = math.hypot(spread, float(other.x[0] - best.x[0]) * -math.expm1(-0.5 * nearer))
+    if not fits_K:  # of the rocking and of two parameters of a law the few currents tell too little
+        each = ((one, fitted(one, start)) for one, start in OTHERS[q_axis])
+        other_law, other = min(each, key=lambda o: _squares(o[1]))
+        nearer = _squares(best) - _squares(other)
+        if nearer > SURE**2:
+            law, best = other_law, other
+        elif nearer > 0.0:
+            spread = math.hypot(spread, float(other.x[0] - best.x[0]) * -math.expm1(-0.5 * nearer))
     K = float(best.x[-1]) if fits_K else given
     by_K = abs(0.0 if known is None or not q_axis else known[1]) * float(q.min())
     L = raw + K * q
