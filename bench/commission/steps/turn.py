@@ -166,7 +166,7 @@ def analyse(up: Window, down: Window, lines: int, current: float, i_max: float) 
         order = hall_order.hall_order([up], [down])
         if found is None:
             share = abs(math.sin(order.lag))
-            if heavy := hall_order.heavy(share, current, i_max):
+            if heavy := hall_order.heavy(share, current, i_max, hall_order.HEAVY_BY_EDGES):
                 findings.append(heavy)
         findings += hall_order.verdicts(order, direction)
     except Refused as nothing:
