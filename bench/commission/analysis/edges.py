@@ -41,7 +41,7 @@ TICKS = 4096
 """Steps of a PWM period in which the time of an edge is counted here."""
 USUAL_DELAY = 1e-5, 1e-5
 """s, by which Hall edges are seen late in drives, and its sd: for a shaft too slow to tell it."""
-BLIND_DELAY_FLOOR = math.radians(0.1)
+BLIND_DELAY_FLOOR = math.radians(0.15)
 """rad, sd, of what an edge by the back-EMF moves by from the slowest to the fastest speed, besides its delay."""
 APART = 0.7
 """Of the fastest speed, that the slowest may be at most for a delay to be told."""
