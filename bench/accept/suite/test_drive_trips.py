@@ -171,9 +171,8 @@ def _beyond(drive: Drive, record: Record, threshold: float, aim: tuple[float, fl
 
     def cause() -> None:
         nonlocal ended
-        with record.stretch() as within:
-            send(drive, WITHIN * d, WITHIN * q, faulty)
-        ended = within.last
+        send(drive, WITHIN * d, WITHIN * q, faulty)
+        ended = record.rig.tick()
         send(drive, BEYOND * d, BEYOND * q, faulty)
 
     return provoke(drive, record, "OVERCURRENT", cause, lambda: None, (BEYOND * d, BEYOND * q), hold), ended

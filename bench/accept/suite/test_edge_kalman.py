@@ -33,6 +33,7 @@ from bench.accept.suite.common import (
     errors,
     from_reference,
     held,
+    loaded,
     measure_error,
     percent,
     ramp,
@@ -79,9 +80,11 @@ class Bench(NamedTuple):
         """A capture at a forced speed with a q current, both as shares; as long as its own turns take if not longer."""
         rate = speed * self.rated.speed_rpm
         self.load.speed(rpm=rate)
-        self.drive.current(current * self.rated.current)
-        self.record.wait(SETTLING + 20.0 / rate)  # the load's ramp takes its time, and a slow estimate some turns
-        return self.record(max(seconds, 0.2, 2.2 * electrical_turn(self.drive, rate)))
+        amps = current * self.rated.current
+        self.drive.current(amps)
+        settling = SETTLING + 20.0 / rate  # the load's ramp takes its time, and a slow estimate some turns
+        long = max(seconds, 0.2, 2.2 * electrical_turn(self.drive, rate))
+        return loaded(self.record, self.drive, amps, long, settling)
 
     def teach(self) -> None:
         """Start the drive on the Kalman filter and let it learn, the load machine turning the shaft."""
@@ -180,17 +183,19 @@ def test_edge_kalman_transients(
     low = speed_rpm(drive, rated, 1 / 6)
     high = 2.0 * low
     bench.teach()
+    drive.current(0.0)  # without the load it would be faster than anybody asked for
     load.torque(0.0)
     drive.speed(rpm=low)
     settle(record, low)
     speed_step = around(record, 0.1, lambda: drive.speed(rpm=high), 0.55 + ramp(drive, high - low))
     drive.speed(rpm=low)
     settle(record, low)
-    load_step = around(record, 0.1, lambda: load.torque(0.5 * rated.current * drive.torque_constant), 0.6)
+    torque = 0.5 * rated.current * drive.torque_constant
+    load_step = around(record, 0.1, lambda: load.torque(torque), 0.6, then=lambda: load.torque(0.0))
     before = bench.at_point(low / rated.speed_rpm, 1 / 40)
-    full_step = around(record, 0.0, lambda: drive.current(rated.current), 0.4)
-    after = record(0.2)
-    drive.stop()
+    loaded_by_full = around(record, 0.0, lambda: drive.current(rated.current), 0.6, then=drive.stop)
+    begun, ended = loaded_by_full.span
+    full_step, after = loaded_by_full.between(begun, begun + 0.4), loaded_by_full.between(begun + 0.4, ended)
     for name, run in (("speed_step", speed_step), ("load_step_half", load_step), ("load_step_full", full_step)):
         measure(f"{name}.error_max", np.abs(error_deg(run, KALMAN)).max(), run)
     measure("proposed.speed_step.error_max", np.abs(error_deg(speed_step, PROPOSED)).max(), speed_step)

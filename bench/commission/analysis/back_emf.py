@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.commission.analysis.flux import ALONG_D, FLUX_FLOOR, LEAST_PARTS, SETTLE, STEP, ripple_delay
+from bench.commission.analysis.flux import ALONG_D, LEAST_PARTS, SETTLE, STEP, ripple_delay
 from bench.commission.analysis.stretches import merged, parts
 from bench.commission.least_squares import fit
 from bench.commission.quantity import Quantity
@@ -22,6 +22,8 @@ from bench.commission.refusal import Refused
 from bench.commission.window import Complexes, Floats, Window
 from bench.signal.position import unwrapped
 
+FLOOR = 1.5e-3
+"""Of psi, sd: drift of the current sensors, and harmonics beside dead time."""
 CLEAR = 0.9
 """Of the rms of the voltage, that its mean along its own phase must be: else another thing than the rotor turns it."""
 STEADY = 0.2
@@ -144,5 +146,5 @@ def flux_by_back_emf(
     value = float(told.x[0]) / (1.0 + by * late.value)
     noise = float(told.sd[0]) * told.inflation()
     i_q = float(np.mean([abs(each.i.imag) for each in found])) / float(ws.mean())
-    by_cause = {"noise": noise, "R": R.sd * i_q, "late currents": by * late.sd * value, "method": FLUX_FLOOR * value}
+    by_cause = {"noise": noise, "R": R.sd * i_q, "late currents": by * late.sd * value, "method": FLOOR * value}
     return Quantity("psi_f", "V s", value, by_cause, 1.0)

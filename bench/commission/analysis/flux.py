@@ -27,8 +27,13 @@ from bench.signal.position import unwrapped, wrapped
 
 STEP = "flux"
 ALONG_D = ("d+", "d-")
-FLUX_FLOOR = 1.5e-3
-"""Of psi, sd: what would have covered 95 % of the trial's unkind benches (harmonics, drift of the current sensors)."""
+FLUX_FLOOR = 1e-3
+"""Of psi, sd: drift of the current sensors, warming."""
+LATE_COMPENSATION = 3.0
+"""PWM periods, sd: that times dead time's volts and the share of harmonic currents is what they leave of psi. A drive
+compensates a period and a half late; where harmonics move the zeros of the phases, that is not along the current."""
+SIXTH = (-6, 6)
+"""Turns in the rotor's frame per electrical turn of the currents of the 5th and 7th harmonic."""
 L_D_FLOOR = 8e-3
 """Of L_d at speed, sd, likewise: saturation is not alike for both signs of the current."""
 L_Q_FLOOR = 2e-2
@@ -135,11 +140,12 @@ def rows(
     return Rows(w, shrink, np.stack([v.real, v.imag], 1), np.stack([i_dq.real, i_dq.imag], 1))
 
 
-def flux(windows: Sequence[Window], R: Quantity, L_q: Quantity, encoder_zero: float = 0.0) -> Flux:
+def flux(windows: Sequence[Window], R: Quantity, L_q: Quantity, encoder_zero: float = 0.0, U_dead: float = 0.0) -> Flux:
     """Psi, L_d, L_q, zero and delay of the encoder, of windows of the kinds "d+", "d-", and "q" where there are some.
 
     `R`, ohm, of the phase at the temperature of these windows; `L_q`, H, at a small current; `encoder_zero`, rad: the
-    drive's parameter meanwhile. Refused where there are too few steady windows of each sign, or of each direction.
+    drive's parameter meanwhile; `U_dead`, V, that dead time takes of a phase. Refused where there are too few steady
+    windows of each sign, or of each direction.
     """
     turned, ahead, late, more_R = (0.0, 0.0), 0.0, 0.0, 0.0
     for _ in range(TURNS):
@@ -155,9 +161,9 @@ def flux(windows: Sequence[Window], R: Quantity, L_q: Quantity, encoder_zero: fl
     noise, more = psi.sd * psi.inflation(), angle.sd * angle.inflation()
     value, L_d = float(psi.x[0]), _held(float(psi.x[1]), R.value, T)
     i_q = float(np.abs(found.i[:, 1]).mean() / np.abs(found.ws).mean())
-    quantity = Quantity(
-        "psi_f", "V s", value, {"noise": float(noise[0]), "R": R.sd * i_q, "method": FLUX_FLOOR * value}, 1.0
-    )
+    dead_time = LATE_COMPENSATION * T * U_dead * _swinging(windows)
+    by_cause = {"noise": float(noise[0]), "R": R.sd * i_q, "dead time": dead_time, "method": FLUX_FLOOR * value}
+    quantity = Quantity("psi_f", "V s", value, by_cause, 1.0)
     of_L_q = L_q.sd * float(np.abs(found.i[:, 1]).mean()) / base
     zero = Quantity(
         "encoder_zero",
@@ -208,6 +214,18 @@ def _usable(found: Rows) -> Rows:
             f"{LEAST_PARTS} of each are needed: the current did not settle, or the rotor stopped too soon",
         )
     return found
+
+
+def _swinging(windows: Sequence[Window]) -> float:
+    """Size of the currents of the 5th and 7th harmonic beside the d current, as a share of it."""
+    shares = []
+    for window in merged(windows):
+        begin = round(SETTLE / window.T)
+        if window.kind in ALONG_D and window.theta is not None and len(window) > begin:
+            theta, i = unwrapped(window.theta)[begin:], window.current[begin:]
+            each = [abs(np.mean(i * np.exp(-1j * (order + 1) * theta))) for order in SIXTH]
+            shares.append(sum(each) / abs(window.i_ref))
+    return float(np.mean(shares)) if shares else 0.0
 
 
 def _fits(found: Rows, L_q: float, more_R: float) -> tuple[Fit, Fit, float]:

@@ -14,11 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from bench.commission.analysis.flux import Flux, compensated
+from bench.commission.analysis.harmonics import Harmonics, harmonics
 from bench.commission.analysis.stretches import merged
 from bench.commission.least_squares import Fit, fit
 from bench.commission.quantity import Quantity
@@ -27,12 +29,14 @@ from bench.commission.window import Booleans, Floats, Integers, Window
 from bench.signal.position import unwrapped
 
 STEP = "mechanics"
-INERTIA_FLOOR, INERTIA_FLOOR_LIGHT = 3.5e-3, 6.5e-3
-"""Of J, sd: what would have covered 95 % of the trial's unkind benches, and of those with a bare rotor."""
-FRICTION_FLOOR, FRICTION_FLOOR_LIGHT = 3e-3, 9e-3
-"""Of b and of dry friction, sd, likewise: cogging, and an encoder's disc that is uneven."""
-LIGHT = 5e-3
-"""s, mechanical time constant J R / (1.5 n_p^2 psi^2), about which a rotor counts as bare: cogging swings it."""
+INERTIA_FLOOR = 1.2e-3
+"""Of J, sd: gains of the current sensors that have drifted since they were compared."""
+FRICTION_FLOOR = 1.5e-3
+"""Of b and of dry friction, sd, likewise, and an encoder's disc that is uneven."""
+FASTER = 0.25
+"""Of the largest speed: J and friction of moments above are compared with those of all."""
+LATEST = 1.7e-6
+"""s: drives sample their currents 0 to so late."""
 LATE_FLOOR = 1e-7
 """s, sd, of how late currents are sampled."""
 BELIEVED = 0.5
@@ -115,7 +119,7 @@ class Mechanics:
     """Over the moments: residuals in N m s."""
 
 
-def moments(windows: Sequence[Window], found: Flux, L_q: float, n_p: int) -> Moments:
+def moments(windows: Sequence[Window], found: Flux, beside: Harmonics, L_q: float, n_p: int) -> Moments:
     """Moments of windows with the outputs off, or with a q current alone; `found`: where the flux is; L_q in H."""
     rows: list[tuple[float, ...]] = []
     salient = (found.L_d.value - L_q) / found.psi.value
@@ -126,19 +130,22 @@ def moments(windows: Sequence[Window], found: Flux, L_q: float, n_p: int) -> Mom
         every = _speeds(angle / n_p, window.T, n_p)
         if not every:
             continue
-        w = np.interp(np.arange(len(angle)), *np.array(every).T) * n_p
+        w = np.interp(np.arange(len(angle)), [each.at for each in every], [each.omega for each in every]) * n_p
         way = math.copysign(1.0, float(w.mean()))
-        told = [(k, omega) for k, omega in every if omega * way * n_p > SLOW * fastest]
-        i = window.current * np.exp(-1j * (angle - found.error(w)))
-        i_q = i.imag * (1.0 + salient * i.real)
+        told = [each for each in every if each.omega * way * n_p > SLOW * fastest]
+        at = angle - found.error(w)
+        i = window.current * np.exp(-1j * at)
+        straight = np.sinc(0.5 * w * window.T / math.pi) ** 2  # between two samples the current cuts the corner
+        i_q = straight * (beside.torque_current(at, i) + i.imag * salient * i.real)
         charge = np.concatenate([[0.0], np.cumsum(0.5 * (i_q[1:] + i_q[:-1]))]) * window.T
         if len(told) < LEAST_IN_RUN:
             continue
-        first, on = told[0][0], window.kind != "off"
+        first, on = told[0], window.kind != "off"
         rows += [
-            (number, omega, float(angle[k] - angle[first]) / n_p, math.copysign((k - first) * window.T, omega), on,
-             on * float(charge[k] - charge[first]))
-            for k, omega in told
+            (number, each.omega, (each.mean(angle) - first.mean(angle)) / n_p,
+             math.copysign((each.at - first.at) * window.T, each.omega), on,
+             on * (each.mean(charge) - first.mean(charge)))
+            for each in told
         ]  # fmt: skip
     columns = np.array(rows, float).reshape(-1, 6).T
     return Moments(columns[0].astype(np.int64), columns[1], columns[2], columns[3], columns[4] > 0.0, columns[5])
@@ -152,8 +159,25 @@ def _ends(theta: Floats, T: float) -> tuple[float, float]:
     return abs(float(theta[n] - theta[0])) / (n * T), abs(float(theta[-1] - theta[-1 - n])) / (n * T)
 
 
-def _speeds(theta: Floats, T: float, n_p: int) -> list[tuple[int, float]]:
-    """Samples of a run and the speed of the shaft at each, rad/s, by a line around it; `theta`: the shaft's angle."""
+@dataclass(frozen=True)
+class _Moment:
+    """A moment of a run: its sample, the speed of the shaft, rad/s, by a line around it, and that line's samples.
+
+    The slope of a line is a mean of the speed that weighs by 1 - x^2. What the speed is compared with gets the same.
+    """
+
+    at: int
+    omega: float
+    half: int
+
+    def mean(self, of: Floats) -> float:
+        """Of a value of each sample, as the speed is a mean."""
+        x = np.arange(-self.half, self.half + 1) / (self.half + 0.5)
+        return float(np.average(of[self.at - self.half : self.at + self.half + 1], weights=1.0 - x**2))
+
+
+def _speeds(theta: Floats, T: float, n_p: int) -> list[_Moment]:
+    """Moments of a run with an unwrapped angle `theta` of the shaft, rad."""
     n, settle, least = len(theta), round(SETTLE / T), round(LEAST_SLOPE / T)
     space = max(1, round(min(SPACE, (n - settle) * T / MOMENTS) / T))
     found = []
@@ -162,18 +186,22 @@ def _speeds(theta: Floats, T: float, n_p: int) -> list[tuple[int, float]]:
         half = round(min(max(LEAST_SLOPE, math.pi / max(rough, 1.0)), MOST_SLOPE) / T)
         if settle <= k - half and k + half < n:
             t = np.arange(-half, half + 1) * T
-            found.append((k, float(t @ theta[k - half : k + half + 1]) / float(t @ t)))
+            found.append(_Moment(k, float(t @ theta[k - half : k + half + 1]) / float(t @ t), half))
     return found
 
 
 def mechanics(
-    windows: Sequence[Window], found: Flux, R: Quantity, L_q: Quantity, n_p: int, usual: Quantity | None = None
-) -> Mechanics:
+    windows: Sequence[Window], found: Flux, R: Quantity, L_q: Quantity, n_p: int, falls: float = 0.0,
+    usual: Quantity | None = None,
+) -> Mechanics:  # fmt: skip
     """J, friction, and how late currents are sampled, of windows with an angle: driven by a q current, and "off".
 
-    `usual`: what is known of that lateness beforehand, s. Refused where too few pieces of each kind were long enough.
+    `falls`, 1/A: share by which a d current lessens L_q. If that is one axis that saturates the other, a q current
+    lessens the flux by as much, and its torque is less than psi says. `usual`: what is known of the lateness
+    beforehand, s. Refused where too few pieces of each kind were long enough.
     """
-    seen = moments(windows, found, L_q.value, n_p)
+    beside = harmonics(windows, found, R.value, L_q.value)
+    seen = moments(windows, found, beside, L_q.value, n_p)
     each = [int(np.count_nonzero((seen.up == up) & (seen.on == on))) for up in (True, False) for on in (True, False)]
     if min(each) < LEAST_EACH:
         raise Refused(
@@ -183,40 +211,43 @@ def mechanics(
         )
     k_t = 1.5 * n_p * found.psi.value
     told = fit(seen.columns(), k_t * seen.charge)
+    by = L_q.value / (k_t * n_p * found.psi.value)
     if usual is not None:
-        by = L_q.value / (k_t * n_p * found.psi.value)
         told = told.informed(LAG, usual.value / by, usual.sd / by)
     noise = told.sd * told.inflation()
     late = _late(told, noise, k_t, n_p, found.psi.value, L_q)
-    flux = compensated(found, R, L_q, late)
-    scale = flux.psi.value / found.psi.value
-    x, noise = told.x * scale, noise * scale
-    ways, shape = _ways(seen, k_t, told.x) * scale, _shape(seen, k_t, told) * scale
+    flux, x = compensated(found, R, L_q, late), told.x
+    ways, shape = _ways(seen, k_t, x), _shape(seen, k_t, told)
+    more = _implausible(seen, k_t, told, by)
+    driven = [abs(w.i_ref.imag) for w in windows if w.i_ref.imag]
+    crossed = 0.5 * L_q.value * abs(falls) * float(np.mean(np.square(driven))) / found.psi.value
     share = flux.psi.sd / flux.psi.value
-    time_constant = max(float(x[0]), 0.0) * R.value / (1.5 * n_p**2 * flux.psi.value**2)
-    light = 1.0 / (1.0 + (time_constant / LIGHT) ** 2)
-    dry = FRICTION_FLOOR + (FRICTION_FLOOR_LIGHT - FRICTION_FLOOR) * light
-    inertia = INERTIA_FLOOR + (INERTIA_FLOOR_LIGHT - INERTIA_FLOOR) * light
 
-    def quantity(name: str, unit: str, value: float, own: float, floor: float, **more: float) -> Quantity:
+    def quantity(name: str, unit: str, value: float, own: float, floor: float, **parts: float) -> Quantity:
         size = abs(value)
-        return Quantity(
-            name, unit, value, {"noise": own, "psi": share * size, "method": floor * size, **more}, 1.0, 1.0
-        )
+        common = {"noise": own, "psi": share * size, "cross-saturation": crossed * size, "method": floor * size}
+        return Quantity(name, unit, value, common | parts, 1.0, 1.0)
 
     friction = 0.5 * float(x[UP] + x[DOWN])
     spread = told.covariance[UP, UP] + told.covariance[DOWN, DOWN] + 2.0 * told.covariance[UP, DOWN]
-    both = 0.5 * math.sqrt(max(0.0, float(spread))) * told.inflation() * scale
+    both = 0.5 * math.sqrt(max(0.0, float(spread))) * told.inflation()
     refused = _one_way(float(x[UP]), float(x[DOWN]), math.hypot(noise[UP], noise[DOWN]) / 2.0)
     loss = -float(x[LAG]) if -x[LAG] > SURE * noise[LAG] else 0.0
+    J, b = (float(value) for value in x[:2])
+    up, down = (
+        quantity(
+            name, "N m", float(x[at]), float(noise[at]), FRICTION_FLOOR, shape=shape[2], **{"late currents": more[2]}
+        )
+        for name, at in (("tau_up", UP), ("tau_down", DOWN))
+    )
+    of_J, of_b, of_dry = (
+        {"ways": w, "shape": of, "late currents": lag} for w, of, lag in zip(ways, shape, more, strict=True)
+    )
     return Mechanics(
-        quantity("J", "kg m2", float(x[0]), float(noise[0]), inertia, ways=ways[0], shape=shape[0]),
-        quantity("b", "N m s", float(x[1]), float(noise[1]), dry, ways=ways[1], shape=shape[1], **{"iron loss": loss}),
-        None if refused else quantity("tau_c", "N m", friction, both, dry, ways=ways[2], shape=shape[2]),
-        (
-            quantity("tau_up", "N m", float(x[UP]), float(noise[UP]), dry, shape=shape[2]),
-            quantity("tau_down", "N m", float(x[DOWN]), float(noise[DOWN]), dry, shape=shape[2]),
-        ),
+        quantity("J", "kg m2", J, float(noise[0]), INERTIA_FLOOR, **of_J),
+        quantity("b", "N m s", b, float(noise[1]), FRICTION_FLOOR, **of_b, **{"iron loss": loss}),
+        None if refused else quantity("tau_c", "N m", friction, both, FRICTION_FLOOR, **of_dry),
+        (up, down),
         late, flux, refused, seen, told,
     )  # fmt: skip
 
@@ -262,18 +293,43 @@ def _ways(seen: Moments, k_t: float, x: Floats) -> Floats:
 
 
 def _shape(seen: Moments, k_t: float, told: Fit) -> Floats:
-    """Half of what J, b and friction, shape (3,), change by where friction is seen to bend with the speed; else 0."""
+    """By how much J, b and friction, shape (3,), hang on the shape that friction is taken for; 0 where nothing shows.
+
+    Half of what they change by where friction is seen to bend with the speed, and all of what they change by without
+    the slowest moments, beyond the noise.
+    """
     bend = np.zeros(len(seen))
     for run in np.unique(seen.run):
         own = seen.run == run
         way, omega = seen.way[own], seen.omega[own]
         bend[own] = np.concatenate([[0.0], np.cumsum(0.5 * np.abs(omega[1:] + omega[:-1]) * np.diff(way))])
-    try:
+    changes = [np.zeros(3)]
+    with suppress(ValueError):  # of one speed: nothing tells a bend
         other = fit(np.column_stack([seen.columns(), bend]), k_t * seen.charge)
-    except ValueError:  # of one speed: nothing tells a bend
+        if abs(float(other.x[-1])) > SURE * float(other.sd[-1]) * other.inflation():
+            changes.append(0.5 * np.abs(_three(other.x) - _three(told.x)))
+    fast = seen.of(np.abs(seen.omega) > FASTER * np.abs(seen.omega).max())
+    with suppress(ValueError):
+        other = fit(fast.columns(), k_t * fast.charge)
+        noise = _three(other.sd) * other.inflation()
+        changes.append(np.sqrt(np.maximum((_three(other.x) - _three(told.x)) ** 2 - noise**2, 0.0)))
+    return np.asarray(np.max(changes, axis=0))
+
+
+def _implausible(seen: Moments, k_t: float, told: Fit, by: float) -> Floats:
+    """What J, b and friction, shape (3,), change by if currents are not later than drives have them; `by`: s per N m s.
+
+    Other things that go with the speed and are there with the outputs on only, such as iron loss, look like them.
+    """
+    lag = float(told.x[LAG])
+    held = min(max(lag, 0.0), LATEST / by)
+    if held == lag:
         return np.zeros(3)
-    if abs(float(other.x[-1])) < SURE * float(other.sd[-1]) * other.inflation():
-        return np.zeros(3)
-    change = np.abs(other.x[:-1] - told.x)
-    friction = abs(float(np.mean(other.x[[UP, DOWN]] - told.x[[UP, DOWN]])))
-    return 0.5 * np.array([change[0], change[1], friction])
+    others = np.delete(seen.columns(), LAG, axis=1)
+    other = fit(others, k_t * seen.charge + held * seen.way * seen.on)
+    return np.abs(_three(other.x) - _three(told.x))
+
+
+def _three(x: Floats) -> Floats:
+    """J, b, and the mean of friction each way."""
+    return np.array([x[0], x[1], 0.5 * (x[UP] + x[DOWN])])

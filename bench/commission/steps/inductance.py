@@ -55,6 +55,8 @@ LINK = 0.3
 """Standard deviation of the correction for a DC link that gives way, as a share of it: drives sample it otherwise."""
 FLOOR_Q = 3e-3
 """And of L_q without a current, besides."""
+SURE = 3.0
+"""Standard deviations by which another law has to be nearer to what was measured than the usual one."""
 FLOOR_NOISE = 0.2
 """And what it leaves on a drive that is too large for the motor: so many times noise over agreed current."""
 
@@ -148,12 +150,25 @@ def _of_cycle(i: Floats, before: Floats, u: Floats, R: float, T: float, variance
 
 
 Law = Callable[[Floats, Floats], Floats]
-LAWS: dict[str, Law] = {
-    "1 / (1 + a i^2)": lambda a, y: 1.0 / (1.0 + a * y),
-    "1 - a i^2": lambda a, y: 1.0 - a * y,
-    "1 / sqrt(1 + a i^2)": lambda a, y: 1.0 / np.sqrt(np.maximum(1.0 + a * y, 1e-3)),
-}
+"""L at a current over L without one, of parameters, shape (1,) or (2,), and currents as shares, shape (n,)."""
+LAWS: tuple[Law, ...] = (
+    lambda a, i: 1.0 / (1.0 + a[0] * i**2),
+    lambda a, i: 1.0 - a[0] * i**2,
+    lambda a, i: 1.0 / np.sqrt(np.maximum(1.0 + a[0] * i**2, 1e-3)),
+)
 """How L may fall with the current; what they differ by at no current is what the extrapolation costs."""
+
+
+OTHERS: tuple[tuple[tuple[Law, tuple[float, ...]], ...], ...] = (
+    ((lambda a, i: 1.0 / np.maximum(1.0 + a[0] * i, 1e-3), (0.1,)), (LAWS[1], (0.1,))),
+    ((lambda a, i: 1.0 / np.maximum(1.0 + a[0] * i + a[1] * i**2, 1e-3), (0.1, 0.1)),),
+)
+"""Of L_d, and of L_q, where both signs of a d current are not alike: the magnet saturates the iron, or one axis the
+other; with what each parameter is tried first."""
+
+
+def _squares(of: Fit) -> float:
+    return float(of.residuals @ of.residuals)
 
 
 @dataclass(frozen=True)
@@ -161,8 +176,13 @@ class _Axis:
     zero: Quantity
     middle: Quantity
     rocking: float
+    law: Law
     fitted: Fit
     L: Floats
+
+    def model(self, share: Floats) -> Floats:
+        """H, at currents as shares of the agreed one, shape (n,)."""
+        return np.asarray(self.zero.value * self.law(self.fitted.x[1:3], share))
 
 
 def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[float, float] | None) -> _Axis:
@@ -172,29 +192,42 @@ def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[floa
     raw, q, bias, noise = (np.array([getattr(s, key) for s in slopes]) for key in ("L", "q", "bias", "sd"))
     sd = np.hypot(noise, floor * raw)
     link = np.array([LINK * abs(s.link) for s in slopes])
-    y = (bias / i_max) ** 2
+    share = np.abs(bias) / i_max
     fits_K = q_axis and known is None
     given = 0.0 if known is None or not q_axis else known[0]
 
-    def curve(law: Law) -> Callable[[Floats], Floats]:
-        return lambda x: x[0] * law(x[1], y) - ((x[2] if fits_K else given) * q)
+    def fitted(law: Law, shape: Sequence[float]) -> Fit:
+        k = len(shape)
 
-    start = np.array([float(raw.max()), 0.1, *([1e-3 * float(raw.max()) / float(q.max())] if fits_K else [])])
-    fits = [fit_curve(curve(law), start, raw, sd) for law in LAWS.values()]
-    best = fits[0]
-    K = float(best.x[2]) if fits_K else given
-    law = 0.5 * max(abs(float(other.x[0] - best.x[0])) for other in fits[1:])
+        def curve(x: Floats) -> Floats:
+            return np.asarray(x[0] * law(x[1 : 1 + k], share) - (x[1 + k] if fits_K else given) * q)
+
+        rocks = [1e-3 * float(raw.max()) / float(q.max())] if fits_K else []
+        return fit_curve(curve, np.array([float(raw.max()), *shape, *rocks]), raw, sd)
+
+    fits = [fitted(law, [0.1]) for law in LAWS]
+    law, best = LAWS[0], fits[0]
+    spread = 0.5 * max(abs(float(each.x[0] - best.x[0])) for each in fits[1:])
+    other_law, other = min(
+        ((each, fitted(each, start)) for each, start in OTHERS[q_axis]), key=lambda o: _squares(o[1])
+    )
+    nearer = _squares(best) - _squares(other)
+    if nearer > SURE**2:
+        law, best = other_law, other
+    elif nearer > 0.0:
+        spread = math.hypot(spread, float(other.x[0] - best.x[0]) * -math.expm1(-0.5 * nearer))
+    K = float(best.x[-1]) if fits_K else given
     by_K = abs(0.0 if known is None or not q_axis else known[1]) * float(q.min())
     L = raw + K * q
     value = float(best.x[0])
-    parts = {"fit": float(best.sd[0]), "extrapolation": law, "method": (FLOOR_Q * value if q_axis else 0.0)}
+    parts = {"fit": float(best.sd[0]), "extrapolation": spread, "method": (FLOOR_Q * value if q_axis else 0.0)}
     parts["weak DC link"] = float(link.max())
     if by_K:
         parts["rocking rotor"] = by_K
     zero = Quantity(name, "H", value, parts, volts=1.0, amperes=-1.0)
     own = np.abs(bias - MIDDLE * i_max) < 0.01 * i_max
     mean = float(L[own].mean())
-    K_sd = float(best.sd[2]) if fits_K else by_K / max(float(q.min()), 1e-30)
+    K_sd = float(best.sd[-1]) if fits_K else by_K / max(float(q.min()), 1e-30)
     halves = {
         "noise": float(np.sqrt(np.mean(noise[own] ** 2) / own.sum())),
         "method": floor * mean / math.sqrt(2.0),
@@ -203,7 +236,7 @@ def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[floa
     }
     if q_axis:
         halves["rocking rotor"] = K_sd * float(q[own].mean())
-    return _Axis(zero, Quantity(f"{name}_half", "H", mean, halves, volts=1.0, amperes=-1.0), K, best, L)
+    return _Axis(zero, Quantity(f"{name}_half", "H", mean, halves, volts=1.0, amperes=-1.0), K, law, best, L)
 
 
 def analyse(
@@ -224,15 +257,12 @@ def analyse(
         key = f"{each.axis[2]}_{each.bias / i_max:.2f}_{each.half}"
         figures |= {f"L_{key}": each.L, f"sd_{key}": each.sd, f"ripple_{key}": each.ripple}
     line = np.linspace(0.0, max(BIASES) * i_max, 60)
-    first = next(iter(LAWS.values()))
     measured: dict[str, tuple[Floats, Floats]] = {}
     residuals: dict[str, tuple[Floats, Floats]] = {}
     for name, axis, own in (("L_d", d, by_axis["u_d"]), ("L_q", q, by_axis["u_q"])):
         bias = np.array([s.bias for s in own])
-        model = axis.fitted.x[0] * first(axis.fitted.x[1], (line / i_max) ** 2)
-        measured |= {name: (bias, 1e3 * axis.L), f"fit of {name}": (line, 1e3 * model)}
-        there = axis.fitted.x[0] * first(axis.fitted.x[1], (bias / i_max) ** 2)
-        residuals[name] = (bias, 100.0 * (axis.L / there - 1.0))
+        measured |= {name: (bias, 1e3 * axis.L), f"fit of {name}": (line, 1e3 * axis.model(line / i_max))}
+        residuals[name] = (bias, 100.0 * (axis.L / axis.model(bias / i_max) - 1.0))
     panels = (
         Panel("d current", "A", "incremental inductance", "mH", measured),
         Panel("d current", "A", "residuals", "%", residuals),

@@ -106,8 +106,9 @@ def _without_encoder(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spu
     found.pole_pairs = stand.turned.n_p is not None
     try:
         found.edges = edges_by_back_emf(windows, R, L_q)
-        found.motion = mechanics(_with_angles(windows, found.edges), found.flux, R, L_q, made.n_p, UNKNOWN_LATE)
-        found.motion = _wider(found.motion)
+        turning = _with_angles(windows, found.edges)
+        motion = mechanics(turning, found.flux, R, L_q, made.n_p, _falls(stand, L_q.value), UNKNOWN_LATE)
+        found.motion = _wider(motion)
         found.flux = found.motion.flux
         found.inductances = _inductances(stand, found.motion, made.n_p)
         if found.pole_pairs:
@@ -146,7 +147,7 @@ def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
     assert turned.dragged is not None
     dragged, n_p = turned.dragged, made.n_p
     R, L_q = stand.found["R_s"], stand.found["L_q"]
-    found = Spun(flux(windows, R, L_q, dragged.zero.value))
+    found = Spun(flux(windows, R, L_q, dragged.zero.value, stand.found["U_dead"].value))
     moved = wrapped(found.flux.zero.value - dragged.zero.value)
     if abs(moved) > max(SLIPPED, SURE * dragged.zero.sd):
         raise Refused(
@@ -154,7 +155,7 @@ def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
             "encoder slips on the shaft, or loses counts"
         )  # fmt: skip
     try:
-        found.motion = mechanics(windows, found.flux, R, L_q, n_p)
+        found.motion = mechanics(windows, found.flux, R, L_q, n_p, _falls(stand, L_q.value))
         found.flux = found.motion.flux
         found.refused += found.motion.refused
     except Refused as refused:
@@ -171,6 +172,11 @@ def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
     if found.motion is not None and found.motion.J.value > 0.0:
         found.inductances = _inductances(stand, found.motion, n_p)
     return found
+
+
+def _falls(stand: Stand, L_q: float) -> float:
+    """1/A: the share by which a d current lessens L_q."""
+    return (1.0 - stand.found["L_q_half"].value / L_q) / (inductance.MIDDLE * stand.i_max)
 
 
 def _edges(stand: Stand, of: Flux, n_p: int, direction: int, windows: Sequence[Window]) -> HallEdges:

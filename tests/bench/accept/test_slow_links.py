@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
 from accepting import Accepting
 from uart import Uart
 
+import bench.accept
 from bench.errors import BenchError
 from bench.rig.rig import Plan, Rig
 from protocol.canmap.frame import BusRates
@@ -24,7 +27,10 @@ LINKS: dict[str, Callable[[], Network]] = {
     "CAN 500 kbit/s": lambda: CanNetwork(BusRates(500_000)),
     "UART 115200": lambda: Uart(115_200),
 }
-PAPER = "table1 fig02 fig06 fig08 fig09 fig10 fig11 fig12 fig13".split()  # noqa: SIM905
+SUITE = Path(bench.accept.__file__).with_name("suite")
+TESTS = sorted(
+    {name for file in SUITE.glob("test_*.py") for name in re.findall(r"^def (test_\w+)", file.read_text(), re.M)}
+)
 SEED = 5
 SLOW = pytest.mark.long("hundreds of kilobytes over a slow link, frame by frame")
 
@@ -139,11 +145,11 @@ def _cleared(link: VirtualLink) -> tuple[object, int, int]:
 
 @pytest.mark.campaign("slow-links")
 @pytest.mark.parametrize("kind", LINKS)
-@pytest.mark.parametrize("test", PAPER)
-def test_the_papers_experiments_have_the_verdicts_that_they_have_on_a_fast_link(
+@pytest.mark.parametrize("test", TESTS)
+def test_an_acceptance_test_has_the_verdicts_that_it_has_on_a_fast_link(
     kind: str, test: str, accepting: Accepting, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wanted = accepting(keyword=f"test_{test}", seed=SEED).tests
+    wanted = accepting(keyword=test, seed=SEED).tests
 
     def opened(config: object, overrides: dict[str, object], seed: int) -> VirtualLink:
         return VirtualLink(
@@ -152,4 +158,4 @@ def test_the_papers_experiments_have_the_verdicts_that_they_have_on_a_fast_link(
         )
 
     monkeypatch.setattr("sim.ports.virtual.open_virtual", opened)
-    assert accepting(keyword=f"test_{test}", seed=SEED).tests == wanted
+    assert accepting(keyword=test, seed=SEED).tests == wanted

@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.device.simulator import motors
 from sim.config.params import load_params
+from sim.config.saturation import least_i_cross
 from sim.config.sections import BenchParams
 from sim.config.unkind import unkind
 from sim.plant.warming import COPPER
@@ -50,8 +51,11 @@ def made(name: str, hard: bool, **overrides: Any) -> MadeBench:
     return _bench(name, hard, {key.replace("__", "."): value for key, value in overrides.items()})
 
 
-def drawn(name: str, seed: int, hard: bool = True, encoder: bool = True) -> MadeBench:
-    """A bench of which all that is to be found is drawn around the motor's figures."""
+def drawn(name: str, seed: int, hard: bool = True, rare: bool = False, encoder: bool = True) -> MadeBench:
+    """A bench of which all that is to be found is drawn around the motor's figures.
+
+    `rare`: with effects that the equations of a commissioning do not have.
+    """
     rng, base = np.random.default_rng([seed, NAMES.index(name), hard]), _base(name)
     u, motor = rng.uniform, base.motor
     i = motor.i_max / 8.0
@@ -79,7 +83,21 @@ def drawn(name: str, seed: int, hard: bool = True, encoder: bool = True) -> Made
             "motor.cogging": [float(x) for x in np.array(effects["motor.cogging"]) * u(0.3, 1.5, 2)],
             "mechanics.tau_coulomb": float(effects["mechanics.tau_coulomb"]) * u(0.5, 1.5),  # type: ignore[arg-type]
         }  # fmt: skip
+    if rare:
+        settings |= _rare(base, settings, np.random.default_rng([seed, NAMES.index(name), 7]))
     return _bench(name, hard, settings)
+
+
+def _rare(base: BenchParams, settings: Mapping[str, Any], rng: np.random.Generator) -> dict[str, float]:
+    """Iron loss, more friction at rest, skin effect, and axes that saturate one another."""
+    u, motor = rng.uniform, base.motor
+    dry = settings.get("mechanics.tau_coulomb", base.mechanics.tau_coulomb)
+    least = least_i_cross(settings["motor.L_d"], settings["motor.L_q"], settings["motor.psi_f"], motor.i_max)
+    return {
+        "motor.iron_hysteresis": u(0.0, 0.5) * dry, "motor.iron_eddy": u(0.0, 1.0) * settings["mechanics.b"],
+        "mechanics.stribeck": u(0.0, 0.5) * dry, "mechanics.omega_stribeck": u(2.0, 8.0),
+        "motor.skin_R": u(0.0, 0.1) * motor.R_s, "motor.i_cross": max(u(4.0, 12.0) * motor.i_max, 1.1 * least),
+    }  # fmt: skip
 
 
 def _base(name: str) -> BenchParams:
@@ -122,10 +140,10 @@ def _turning(p: BenchParams) -> dict[str, float]:
     """Torques by the drive's amperes, too; the magnet as warm as the air."""
     gain = 1.0 + float(np.mean(p.current_sensor.gain_error))
     warm = p.thermal.ambient - 20.0 if p.thermal.R_th_winding else 0.0
-    shaft = p.mechanics
+    shaft, magnet = p.mechanics, 1.0 + p.thermal.magnet * warm
     return {
-        "psi_f": p.motor.psi_f * (1.0 + p.thermal.magnet * warm),
-        "J": shaft.J * gain, "b": shaft.b * gain, "tau_c": shaft.tau_coulomb * gain,
+        "psi_f": p.motor.psi_f * magnet, "J": shaft.J * gain, "b": (shaft.b + p.motor.iron_eddy * magnet**2) * gain,
+        "tau_c": (shaft.tau_coulomb + p.motor.iron_hysteresis * magnet**2) * gain,
     }  # fmt: skip
 
 
@@ -142,10 +160,16 @@ def _places(p: BenchParams) -> dict[str, list[float]]:
 
 
 def incremental(p: BenchParams, i: float) -> tuple[float, float]:
-    """dpsi_d/di_d and dpsi_q/di_q beside a d current of i A: by the plant's law, i = i_0 (1 + c i_0^2), solved."""
+    """dpsi_d/di_d and dpsi_q/di_q beside a d current of i A: by the plant's law, i = i_0 (1 + c i_0^2), solved.
+
+    Where the axes saturate one another, 1/L_q grows by (psi_d^2 - psi_f^2) / (2 L_d L_q psi_f i_cross).
+    """
     motor = p.motor
-    if not motor.i_sat:
-        return motor.L_d, motor.L_q
-    c = 0.5 * (1.0 / motor.L_d + 1.0 / motor.L_q) * motor.L_d / motor.i_sat**2
-    (i_0,) = (root.real for root in np.roots([c, 0.0, 1.0, -i]) if abs(root.imag) < 1e-9)
-    return motor.L_d / (1.0 + 3.0 * c * i_0**2), motor.L_q / (1.0 + c * i_0**2)
+    c = 0.5 * (1.0 / motor.L_d + 1.0 / motor.L_q) * motor.L_d / motor.i_sat**2 if motor.i_sat else 0.0
+    roots = np.roots([c, 0.0, 1.0, -i]) if c else np.array([i])
+    (i_0,) = (root.real for root in roots if abs(root.imag) < 1e-9)
+    crossed = 0.0
+    if motor.i_cross:
+        grown = (motor.psi_f + motor.L_d * i_0) ** 2 - motor.psi_f**2
+        crossed = grown / (2.0 * motor.L_d * motor.L_q * motor.psi_f * motor.i_cross)
+    return motor.L_d / (1.0 + 3.0 * c * i_0**2), 1.0 / ((1.0 + c * i_0**2) / motor.L_q + crossed)

@@ -147,23 +147,29 @@ def test_neither_current_nor_speed_is_beyond_what_was_agreed_to(name: str, share
 
 @pytest.mark.campaign("commission")
 @pytest.mark.long("a hundred benches")
-def test_a_hundred_drawn_benches_are_inside_their_intervals() -> None:
-    """Nine benches of each motor, and one more of the first: coverage of each quantity, and the worst error."""
-    inside, worst, refused = coverage([(name, UNSEEN + seed) for seed in range(10) for name in NAMES][:100])
+@pytest.mark.parametrize("rare", [False, True], ids=["usual", "rare"])
+def test_a_hundred_drawn_benches_are_inside_their_intervals(rare: bool) -> None:
+    """Nine benches of each motor, and one more of the first: coverage of each quantity, and the worst error.
+
+    `rare`: with effects that the equations do not have, where intervals are to be wider and not values as good.
+    """
+    inside, worst, refused = coverage([(name, UNSEEN + seed) for seed in range(10) for name in NAMES][:100], rare)
     told = {key: (inside[key], worst[key]) for key in worst}
+    print(told)
     assert not refused
     assert all(inside[key] >= 90 * (12 if key == "edges" else 1) for key in worst), told
-    assert all(worst[key] < limit for key, limit in WITHIN.items()), told
-    assert worst["edges"] < EDGES, told
+    if not rare:
+        assert all(worst[key] < limit for key, limit in WITHIN.items()), told
+        assert worst["edges"] < EDGES, told
 
 
-def coverage(benches: Sequence[tuple[str, int]]) -> tuple[Counter[str], dict[str, float], list[str]]:
+def coverage(benches: Sequence[tuple[str, int]], rare: bool) -> tuple[Counter[str], dict[str, float], list[str]]:
     """How many intervals hold, the worst errors (relative; of angles rad), and what was refused."""
     inside: Counter[str] = Counter()
     worst: dict[str, float] = {}
     refused: list[str] = []
     for name, seed in benches:
-        of = drawn(name, seed)
+        of = drawn(name, seed, rare=rare)
         outcomes = all_of(of, seed)
         values, truth = found(outcomes), {**of.truth, **of.turning}
         refused += [f"{name} {seed} {each}" for outcome in outcomes.values() for each in outcome.refused]

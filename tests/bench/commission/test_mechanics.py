@@ -126,7 +126,7 @@ def test_late_currents_are_told_from_friction_by_coasting() -> None:
         found.append(told.late)
         truth.append(late)
         psi.append(told.flux.psi.value / m.psi - 1.0)
-        assert told.b.covers(m.b * (1.0 - by))
+        assert told.b.covers(m.b)
     inside(found, truth)
     assert np.abs([each.value - late for each, late in zip(found, truth, strict=True)]).max() < 1e-6
     assert np.abs(psi).max() < 2e-3
@@ -188,4 +188,4 @@ def test_windows_with_a_d_current_do_not_enter() -> None:
     before = seen(bench, windows)
     bench.w = 400.0
     with_d = [*windows, bench.hold("d+", 2.0 + 0j, 0.1)]
-    assert seen(bench, with_d).J.value == before.J.value
+    assert seen(bench, with_d).J.value == pytest.approx(before.J.value, rel=1e-4)  # but for harmonics that noise makes
