@@ -21,7 +21,7 @@ DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
 MOST_PARAMETERS = 8
 MOST_LINES = 80
 COMPILED = {"kernel", "native", "intrinsic", "overload"}
-MOST_CODE_LINES = {"bench": 42600, "sim": 9650, "protocol": 6400, "tests": 49250}
+MOST_CODE_LINES = {"bench": 42700, "sim": 9650, "protocol": 6400, "tests": 49350}
 """Whoever raises one says so in the commit."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 
