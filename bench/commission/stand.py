@@ -148,6 +148,13 @@ class Stand:
             drive.set("i_trip", min(drive.parameters["i_trip"], TRIP * self.i_max))
         if offers(node, "encoder"):
             drive.observe("encoder")
+        if not self.has_encoder and self.pole_pairs is not None:
+            self.set(n_p=float(self.pole_pairs))  # by which Hall edges tell it the shaft's speed
+
+    @property
+    def has_encoder(self) -> bool:
+        """Whether its angle is streamed."""
+        return any(channel.name == WITH_ENCODER for channel in self.rig.channels)
 
     @property
     def found(self) -> dict[str, Quantity]:

@@ -41,7 +41,7 @@ TICKS = 4096
 """Steps of a PWM period in which the time of an edge is counted here."""
 USUAL_DELAY = 1e-5, 1e-5
 """s, by which Hall edges are seen late in drives, and its sd: for a shaft too slow to tell it."""
-BLIND_DELAY_FLOOR = math.radians(0.1)
+BLIND_DELAY_FLOOR = math.radians(0.15)
 """rad, sd, of what an edge by the back-EMF moves by from the slowest to the fastest speed, besides its delay."""
 APART = 0.7
 """Of the fastest speed, that the slowest may be at most for a delay to be told."""
@@ -214,7 +214,13 @@ def edges_by_back_emf(
     along = np.array([1.0 if p.along else -1.0 for p in every]) * fastest / w
     columns = [(kinds[:, None] == np.arange(2 * SECTORS)).astype(float), along[:, None]]
     columns += [w[:, None]] if delay is None else []
-    told = least_squares.fit(np.hstack(columns), wrap(off - near[kinds]), np.sqrt([p.n for p in every]))
+    A, y, weights = np.hstack(columns), wrap(off - near[kinds]), np.sqrt([float(p.n) for p in every])
+    told = least_squares.fit(A, y, weights)
+    slow = np.abs(w) < 0.5 * (fastest + slowest)
+    if min(slow.sum(), (~slow).sum()) > 2 * SECTORS:
+        for own in (slow, ~slow):  # a slow shaft sways by cogging
+            weights[own] /= math.sqrt(float(np.mean(told.residuals[own] ** 2)))
+        told = least_squares.fit(A, y, weights)
     if delay is None:
         told = told.informed(told.x.size - 1, *USUAL_DELAY)
         by = {"noise": float(told.sd[-1]) * told.inflation(), "method": BLIND_DELAY_FLOOR / (fastest - slowest)}

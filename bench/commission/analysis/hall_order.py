@@ -41,8 +41,9 @@ CONTACT = 0.5
 ROUGH = math.radians(2.0)
 """rad, sd of an edge by the angle that drags the rotor: cogging does not cancel edge by edge (trial: 1.2 deg in the
 median, 3.7 for 90 %)."""
-HEAVY = 0.25
-"""Share of the current that drags the rotor, that turning the shaft may take."""
+HEAVY, HEAVY_BY_EDGES = 0.25, 0.4
+"""Share of the current that drags the rotor, that turning the shaft may take: by the encoder, and by Hall edges, where
+cogging counts, too."""
 
 
 @dataclass(frozen=True)
@@ -121,9 +122,21 @@ def _changes(windows: Sequence[Window], way: int) -> _Changes:
         at = window.edges.index
         inside = (at >= window.index[0]) & (at <= window.index[-1])
         angle = np.interp(at[inside], window.index, window.control)
-        parts.append((window.edges.old[inside] & 7, window.edges.new[inside] & 7, angle))
+        kept = _onward(window.edges.old[inside] & 7, window.edges.new[inside] & 7)
+        parts.append((window.edges.old[inside][kept] & 7, window.edges.new[inside][kept] & 7, angle[kept]))
     old, new, angles = zip(*parts, strict=True)
     return _Changes(np.concatenate(old), np.concatenate(new), np.concatenate(angles), way)
+
+
+def _onward(old: Integers, new: Integers) -> list[int]:
+    """Numbers of the edges without those that were taken back: cogging has a rotor that is dragged swing over them."""
+    kept: list[int] = []
+    for number in range(len(old)):
+        if kept and old[number] == new[kept[-1]] and new[number] == old[kept[-1]]:
+            kept.pop()
+        else:
+            kept.append(number)
+    return kept
 
 
 def _level(seen: Sequence[_Changes], number: int) -> int:
@@ -220,9 +233,9 @@ def orientation(found: HallOrder) -> Finding | None:
     return Finding("ring", f"the Hall ring sits at {degrees(found.wired.ring)} (hall_offset)")
 
 
-def heavy(share: float, current: float, i_max: float) -> Finding | None:
+def heavy(share: float, current: float, i_max: float, most: float = HEAVY) -> Finding | None:
     """That the shaft is hard to turn: `share` of the `current`, A, that drags it, of a motor for `i_max`, A."""
-    if share <= HEAVY:
+    if share <= most:
         return None
     told = f"it takes {100.0 * share * current / i_max:.0f} % of i_max to turn the shaft"
     return Finding("heavy", f"{told}: something is attached, or it binds", (), "take off what is attached")

@@ -40,8 +40,9 @@ LOWER = 0.45
 """Of the top, a speed at which a d current flows, too, where Hall edges are all that tells the angle."""
 RECENT = 0.25
 """s of Hall edges that tell the speed,"""
-SILENT, CLEAR = math.pi, 100.0
-"""rad without an edge, and rad/s, electrical, that the shaft had: with a current its edges are missed."""
+SILENT, CLEAR, MISSED = math.pi, 200.0, 0.2
+"""rad without an edge, and rad/s, electrical, that the shaft had, and share of the largest speed: with a current its
+edges are missed. A slower one may have stopped by itself, and where no edge comes the current does not turn either."""
 WITHIN = 0.9
 """Of the agreed speed."""
 SECONDS = 0.4
@@ -61,8 +62,8 @@ FIRST_LOOKS = 5
 """Looks at the shaft under each current of the first try."""
 ALONG, PAIRS = 0.08, 3
 """s of a d current of each sign, and how many of each;"""
-ALONG_TURNS, MOST_ALONG = 4.0, 0.2
-"""and without an encoder electrical turns at least, and s at most."""
+BLIND_PAIRS, ALONG_TURNS, MOST_ALONG = 5, 4.0, 0.2
+"""and without an encoder so many, each electrical turns at least, and s at most."""
 HEAVY, TORQUE = 0.3, 0.04
 """Of the largest current to accelerate with, from which a rotor is heavy enough for s of all of it at the top."""
 ENDS = 0.12
@@ -136,7 +137,7 @@ class Spin:
             raise Refused(STEP, "nothing tells the speed of the shaft")
         w, silent = by_edges.speed(self.stand.recent_edges(RECENT), turned.hall.edges, self.stand.T)
         driven = asked and asked.imag * self.now >= 0.0
-        if driven and silent > SILENT and abs(self.now) > CLEAR:
+        if driven and silent > SILENT and abs(self.now) > max(CLEAR, MISSED * self.limit):
             raise Refused(
                 STEP, f"no Hall edge came any more of a shaft that turned at {abs(self.now):.0f} rad/s (electrical): "
                 "a Hall sensor has lost its supply or its wire, or something holds the shaft"
@@ -217,7 +218,7 @@ class Spin:
             if number == 1 and self.blind:
                 self.goal = LOWER * self.fastest
                 i_q = self.reach(way, i_q)
-                self.along_d()
+                self.along_d(PAIRS)
                 self.goal = math.inf
             i_q = self.reach(way, i_q)
             top = abs(self.now)
@@ -239,14 +240,14 @@ class Spin:
 
     def top(self, way: float, i_q: float) -> None:
         """A d current of both signs, and a torque for a moment where the rotor is heavy."""
-        self.along_d()
+        self.along_d(BLIND_PAIRS if self.blind else PAIRS)
         gains = self.slope * self.most / i_q * (TORQUE + AHEAD * LOOK)
         if i_q > HEAVY * self.most and abs(self.now) + gains < self.limit:
             self.hold(0.0, way * self.most, TORQUE, "q")
 
-    def along_d(self) -> None:
+    def along_d(self, pairs: int) -> None:
         """A d current of both signs, some times."""
-        for _ in range(PAIRS):
+        for _ in range(pairs):
             for sign, kind in ((1.0, "d+"), (-1.0, "d-")):
                 turns = ALONG_TURNS * math.tau / max(abs(self.now), 1.0) if self.blind else 0.0
                 self.hold(sign * self.most, 0.0, min(max(ALONG, turns), MOST_ALONG), kind)

