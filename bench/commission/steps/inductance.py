@@ -55,8 +55,9 @@ LINK = 0.3
 """Standard deviation of the correction for a DC link that gives way, as a share of it: drives sample it otherwise."""
 FLOOR_Q = 3e-3
 """And of L_q without a current, besides."""
-SURE = 3.0
-"""Standard deviations by which another law has to be nearer to what was measured than the usual one."""
+SURE, DOUBT = 4.0, 0.6
+"""Standard deviations by which another law has to be nearer to what was measured than the usual one, and what share of
+their difference counts, sd, where it is nearer by less."""
 FLOOR_NOISE = 0.2
 """And what it leaves on a drive that is too large for the motor: so many times noise over agreed current."""
 
@@ -215,7 +216,7 @@ def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[floa
         if nearer > SURE**2:
             law, best = other_law, other
         elif nearer > 0.0:
-            spread = math.hypot(spread, float(other.x[0] - best.x[0]) * -math.expm1(-0.5 * nearer))
+            spread = math.hypot(spread, DOUBT * float(other.x[0] - best.x[0]) * -math.expm1(-0.5 * nearer))
     K = float(best.x[-1]) if fits_K else given
     by_K = abs(0.0 if known is None or not q_axis else known[1]) * float(q.min())
     L = raw + K * q

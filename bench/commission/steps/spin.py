@@ -43,8 +43,8 @@ RECENT = 0.25
 SILENT, CLEAR, MISSED = math.pi, 200.0, 0.2
 """rad without an edge, and rad/s, electrical, that the shaft had, and share of the largest speed: with a current its
 edges are missed. A slower one may have stopped by itself, and where no edge comes the current does not turn either."""
-WITHIN = 0.9
-"""Of the agreed speed."""
+WITHIN, BY_EDGES = 0.9, 0.85
+"""Of the agreed speed; and without an encoder."""
 SECONDS = 0.4
 """s to the top, about: harmonics of the back-EMF make currents that brake, which i_q does not show; beside more torque
 they count for less."""
@@ -70,8 +70,9 @@ ENDS = 0.12
 """Of the speed at the top, at which a coast ends."""
 COAST, LAPS, MOST_LAPS = 2.0, 2, 8
 """s of coasting each way, and laps: a light rotor coasts briefly."""
-TRIP = 0.97
-"""Times the agreed speed at which the drive itself trips meanwhile: it sees it late, and the host may be gone."""
+TRIP, TRIP_BY_EDGES = 0.97, 1.05
+"""Times the agreed speed at which the drive itself trips meanwhile: it sees it late, and the host may be gone. By Hall
+edges that lie unevenly it sees more than there is, and early."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class Spin:
     @property
     def limit(self) -> float:
         """rad/s, electrical, at which it has to stop accelerating, whatever the voltage is."""
-        return WITHIN * self.stand.rpm * RPM * self.n_p
+        return (BY_EDGES if self.blind else WITHIN) * self.stand.rpm * RPM * self.n_p
 
     # -- looks --------------------------------------------------------------------------------------------------
 
@@ -298,7 +299,12 @@ def spin(stand: Stand) -> Spin:
         raise Refused(STEP, "nobody has agreed to a speed: name it with --speed R/MIN")
     drive = stand.rig.drive
     if "omega_m_trip" in drive.parameters:
-        stand.set(omega_m_trip=min(drive.parameters["omega_m_trip"] or math.inf, TRIP * stand.rpm * RPM))
+        stand.set(
+            omega_m_trip=min(
+                drive.parameters["omega_m_trip"] or math.inf,
+                (TRIP_BY_EDGES if turned.dragged is None else TRIP) * stand.rpm * RPM,
+            )
+        )
     made = Spin(stand, turned.n_p or 1, turned.share * SHARE * stand.i_max)
     with stand.running(STEP, None):
         i_q = made.first_torque()
