@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from bench.commission.comparison import Comparison
     from bench.commission.meters import Reading
     from bench.rig.person import Answered, Ask
+
+Told = TypeVar("Told", "Commissioned", "Comparison")
 
 
 class _Voltmeter(click.ParamType["Reading"]):
@@ -138,11 +140,7 @@ def command(
         if out is not None or report is not None:
             raise click.UsageError("two files are compared without a drive: -o and --report have nothing to write")
         check_files(files, overwrite, compare)
-        changed = comparison.compared(*before)
-        if json_file is not None:
-            write_json(json_file, changed.as_json())
-        if json_file != STANDARD_OUTPUT:
-            _print_comparison(changed)
+        _tell(comparison.compared(*before), json_file, _print_comparison)
         return
     if target is None:
         raise click.UsageError(NO_TARGET)
@@ -165,12 +163,7 @@ def command(
     text, left = done.as_toml()
     if out is not None:
         write(out, text, f"--out {out}")
-    if json_file is not None:
-        write_json(json_file, done.as_json())
-    if json_file != STANDARD_OUTPUT:
-        _print(done)
-        if done.comparison is not None:
-            _print_comparison(done.comparison)
+    _tell(done, json_file, _print)
     if report is not None:
         note(f"report: {report / REPORT}")
     for words in [*done.remarks, *left]:
@@ -179,6 +172,14 @@ def command(
         note(f"refused: {step}: {reason}")
     if done.refused:
         sys.exit(ExitCode.FAILED)
+
+
+def _tell(what: Told, json_file: Path | None, print_it: Callable[[Told], None]) -> None:
+    """As JSON where that is asked for, and printed unless JSON goes there."""
+    if json_file is not None:
+        write_json(json_file, what.as_json())
+    if json_file != STANDARD_OUTPUT:
+        print_it(what)
 
 
 def _asking(screen: Progress) -> Ask | None:
@@ -216,6 +217,8 @@ def _print(done: Commissioned) -> None:
 
     echo(f"{done.drive.title}, up to {done.i_max:g} A, {done.seconds:.0f} s of drive time")
     table(*words.table(done.found.values(), done.converters))
+    if done.comparison is not None:
+        _print_comparison(done.comparison)
 
 
 def _print_comparison(changed: Comparison) -> None:
