@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -73,12 +73,8 @@ class Rotation:
         return np.asarray(np.abs(index - self.first) <= self.half)
 
 
-def rotations(windows: Sequence[Window], R: float, L_q: float, dead_time: float = 0.0) -> Iterator[Rotation]:
-    """The parts of windows of the kinds "d+" and "d-" in which a clear voltage turned; ohm and H.
-
-    `dead_time`: V that it takes of a phase and that the drive does not put back; in the mean of a turn it takes 4 / pi
-    times that along the current.
-    """
+def rotations(windows: Sequence[Window], R: float, L_q: float) -> Iterator[Rotation]:
+    """The parts of windows of the kinds "d+" and "d-" in which a clear voltage turned; ohm and H."""
     for window in merged(windows):
         if window.kind not in ALONG_D:
             continue
@@ -87,16 +83,16 @@ def rotations(windows: Sequence[Window], R: float, L_q: float, dead_time: float 
         if len(current) < 3:
             continue
         middle = 0.5 * (current[1:] + current[:-1])
-        taken = 4.0 / math.pi * dead_time * middle / np.maximum(np.abs(middle), 1e-9)
-        v = u[1:] - R * middle - taken - L_q * np.diff(current) / window.T
-        phase = unwrapped(np.angle(v))
+        v = u[1:] - R * middle - L_q * np.diff(current) / window.T
+        phase, ahead = unwrapped(np.angle(v)), ripple_delay(R, L_q, window.T)
         for part in parts(phase, window.T):
-            found = _rotation(v[part], middle[part], phase[part], window, window.index[0] + begin + part.start)
+            at = window.index[0] + begin + part.start
+            found = _rotation(v[part], middle[part], phase[part], window, at, ahead)
             if found is not None:
-                yield replace(found, ahead=ripple_delay(R, L_q, window.T))
+                yield found
 
 
-def _rotation(v: Complexes, i: Complexes, phase: Floats, window: Window, at: float) -> Rotation | None:
+def _rotation(v: Complexes, i: Complexes, phase: Floats, window: Window, at: float, ahead: float) -> Rotation | None:
     n = len(v)
     if abs(phase[-1] - phase[0]) < TURNS * math.tau:
         return None
@@ -116,19 +112,16 @@ def _rotation(v: Complexes, i: Complexes, phase: Floats, window: Window, at: flo
         return None
     shrink = float(np.sinc(0.5 * w * window.T / math.pi))
     middle = at + 0.5 + half  # the first voltage lies between the samples `at` and `at` + 1
-    return Rotation(middle, half, curve, w, shrink, float(mean.real), complex(i_dq.mean()), 0.0, window.kind == "d+")
+    return Rotation(middle, half, curve, w, shrink, float(mean.real), complex(i_dq.mean()), ahead, window.kind == "d+")
 
 
-def flux_by_back_emf(
-    windows: Sequence[Window], R: Quantity, L_q: Quantity, late: Quantity = UNKNOWN_LATE, dead_time: float = 0.0
-) -> Quantity:
+def flux_by_back_emf(windows: Sequence[Window], R: Quantity, L_q: Quantity, late: Quantity = UNKNOWN_LATE) -> Quantity:
     """Psi, V s, of windows of the kinds "d+" and "d-" at speed, without a sensor of position.
 
-    `late`, s: by which currents are sampled late, which nothing tells here; R late / L_q of psi hangs on it.
-    `dead_time`: V that it takes of a phase and that the drive does not put back. Refused where a clear voltage turned
-    in too few of them.
+    `late`, s: by which currents are sampled late, which nothing tells here; R late / L_q of psi hangs on it. Refused
+    where a clear voltage turned in too few of them.
     """
-    found = list(rotations(windows, R.value, L_q.value, dead_time))
+    found = list(rotations(windows, R.value, L_q.value))
     if found:
         fastest = max(abs(each.w) for each in found)
         found = [each for each in found if abs(each.w) > 0.2 * fastest]

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bench.commission.analysis.back_emf import UNKNOWN_LATE
 from bench.commission.analysis.flux import Flux, compensated
 from bench.commission.analysis.harmonics import Harmonics, harmonics
 from bench.commission.analysis.stretches import merged
@@ -35,8 +36,6 @@ FRICTION_FLOOR = 1.5e-3
 """Of b and of dry friction, sd, likewise, and an encoder's disc that is uneven."""
 FASTER = 0.25
 """Of the largest speed: J and friction of moments above are compared with those of all."""
-LATEST = 1.7e-6
-"""s: drives sample their currents 0 to so late."""
 LATE_FLOOR = 1e-7
 """s, sd, of how late currents are sampled."""
 BELIEVED = 0.5
@@ -192,13 +191,15 @@ def _speeds(theta: Floats, T: float, n_p: int) -> list[_Moment]:
 
 def mechanics(
     windows: Sequence[Window], found: Flux, R: Quantity, L_q: Quantity, n_p: int, falls: float = 0.0,
-    usual: Quantity | None = None,
+    usual: Quantity | None = None, rough: float = 0.0,
 ) -> Mechanics:  # fmt: skip
     """J, friction, and how late currents are sampled, of windows with an angle: driven by a q current, and "off".
 
     `falls`, 1/A: share by which a d current lessens L_q. If that is one axis that saturates the other, a q current
     lessens the flux by as much, and its torque is less than psi says. `usual`: what is known of the lateness
-    beforehand, s. Refused where too few pieces of each kind were long enough.
+    beforehand, s; `rough`: what the angle leaves of inertia and friction, relative, sd. Late currents are as much too
+    small as psi is too large by them, so the torque needs neither put right. Refused where too few pieces of each kind
+    were long enough.
     """
     beside = harmonics(windows, found, R.value, L_q.value)
     seen = moments(windows, found, beside, L_q.value, n_p)
@@ -215,7 +216,7 @@ def mechanics(
     if usual is not None:
         told = told.informed(LAG, usual.value / by, usual.sd / by)
     noise = told.sd * told.inflation()
-    late = _late(told, noise, k_t, n_p, found.psi.value, L_q)
+    late = _late(told, noise, by, L_q)
     flux, x = compensated(found, R, L_q, late), told.x
     ways, shape = _ways(seen, k_t, x), _shape(seen, k_t, told)
     more = _implausible(seen, k_t, told, by)
@@ -226,6 +227,7 @@ def mechanics(
     def quantity(name: str, unit: str, value: float, own: float, floor: float, **parts: float) -> Quantity:
         size = abs(value)
         common = {"noise": own, "psi": share * size, "cross-saturation": crossed * size, "method": floor * size}
+        common["angle"] = rough * size
         return Quantity(name, unit, value, common | parts, 1.0, 1.0)
 
     friction = 0.5 * float(x[UP] + x[DOWN])
@@ -266,9 +268,8 @@ def _one_way(up: float, down: float, noise: float) -> tuple[Refused, ...]:
     )
 
 
-def _late(told: Fit, noise: Floats, k_t: float, n_p: int, psi: float, L_q: Quantity) -> Quantity:
-    """How late currents are sampled, s, 0 at least; `noise`: standard deviations of what was fitted."""
-    by = L_q.value / (k_t * n_p * psi)
+def _late(told: Fit, noise: Floats, by: float, L_q: Quantity) -> Quantity:
+    """How late currents are sampled, s, 0 at least; `noise`: sd of what was fitted; `by`: s per N m s."""
     value = max(0.0, float(told.x[LAG]) * by)
     parts = {
         "noise": float(noise[LAG]) * by,
@@ -322,7 +323,7 @@ def _implausible(seen: Moments, k_t: float, told: Fit, by: float) -> Floats:
     Other things that go with the speed and are there with the outputs on only, such as iron loss, look like them.
     """
     lag = float(told.x[LAG])
-    held = min(max(lag, 0.0), LATEST / by)
+    held = min(max(lag, 0.0), (UNKNOWN_LATE.value + 2.0 * UNKNOWN_LATE.sd) / by)
     if held == lag:
         return np.zeros(3)
     others = np.delete(seen.columns(), LAG, axis=1)

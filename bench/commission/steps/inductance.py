@@ -151,21 +151,19 @@ def _of_cycle(i: Floats, before: Floats, u: Floats, R: float, T: float, variance
 
 
 Law = Callable[[Floats, Floats], Floats]
-"""L at a current over L without one, of parameters, shape (1,) or (2,), and currents as shares, shape (n,)."""
+"""L at a current over L without one, of parameters, shape (1,) or (2,), and of currents as shares, shape (n,)."""
 LAWS: tuple[Law, ...] = (
     lambda a, i: 1.0 / (1.0 + a[0] * i**2),
     lambda a, i: 1.0 - a[0] * i**2,
     lambda a, i: 1.0 / np.sqrt(np.maximum(1.0 + a[0] * i**2, 1e-3)),
 )
-"""How L may fall with the current; what they differ by at no current is what the extrapolation costs."""
+"""How L may fall with the current. Each counts as much as its residuals allow; what they differ by at no current is
+what the extrapolation costs."""
 
 
-OTHERS: tuple[tuple[tuple[Law, tuple[float, ...]], ...], ...] = (
-    ((lambda a, i: 1.0 / np.maximum(1.0 + a[0] * i, 1e-3), (0.1,)), (LAWS[1], (0.1,))),
-    ((lambda a, i: 1.0 / np.maximum(1.0 + a[0] * i + a[1] * i**2, 1e-3), (0.1, 0.1)),),
-)
-"""Of L_d, and of L_q, where both signs of a d current are not alike: the magnet saturates the iron, or one axis the
-other; with what each parameter is tried first."""
+def bent(a: Floats, i: Floats) -> Floats:
+    """The law of L_q where both signs of a d current are not alike, because one axis saturates the other."""
+    return np.asarray(1.0 / np.maximum(1.0 + a[0] * i + a[1] * i**2, 1e-3))
 
 
 def _squares(of: Fit) -> float:
@@ -206,21 +204,23 @@ def _axis(slopes: Sequence[Slope], i_max: float, floor: float, known: tuple[floa
         rocks = [1e-3 * float(raw.max()) / float(q.max())] if fits_K else []
         return fit_curve(curve, np.array([float(raw.max()), *shape, *rocks]), raw, sd)
 
-    fits = [fitted(law, [0.1]) for law in LAWS]
-    law, best = LAWS[0], fits[0]
-    spread = 0.5 * max(abs(float(each.x[0] - best.x[0])) for each in fits[1:])
-    if not fits_K:  # of the rocking and of two parameters of a law the few currents tell too little
-        each = ((one, fitted(one, start)) for one, start in OTHERS[q_axis])
-        other_law, other = min(each, key=lambda o: _squares(o[1]))
+    fits = [fitted(each, [0.1]) for each in LAWS]
+    squares, zeros = np.array([_squares(each) for each in fits]), np.array([float(each.x[0]) for each in fits])
+    likely = np.exp(-0.5 * (squares - squares.min()))
+    likely /= likely.sum()
+    nearest = int(np.argmin(squares))
+    law, best, value = LAWS[nearest], fits[nearest], float(likely @ zeros)
+    spread = math.sqrt(float(likely @ (zeros - value) ** 2))
+    if q_axis:
+        other = fitted(bent, [0.1, 0.1])
         nearer = _squares(best) - _squares(other)
-        if nearer > SURE**2:
-            law, best = other_law, other
+        if nearer > SURE**2 and not fits_K:  # of rocking and two parameters of a law the few currents tell too little
+            law, best, value = bent, other, float(other.x[0])
         elif nearer > 0.0:
-            spread = math.hypot(spread, DOUBT * float(other.x[0] - best.x[0]) * -math.expm1(-0.5 * nearer))
+            spread = math.hypot(spread, DOUBT * (float(other.x[0]) - value) * -math.expm1(-0.5 * nearer))
     K = float(best.x[-1]) if fits_K else given
     by_K = abs(0.0 if known is None or not q_axis else known[1]) * float(q.min())
     L = raw + K * q
-    value = float(best.x[0])
     parts = {"fit": float(best.sd[0]), "extrapolation": spread, "method": (FLOOR_Q * value if q_axis else 0.0)}
     parts["weak DC link"] = float(link.max())
     if by_K:

@@ -50,7 +50,7 @@ SECONDS = 0.4
 they count for less."""
 OVER_FRICTION = 2.5
 """Times the current that friction takes, at least."""
-LONGEST, PATIENCE, LONGEST_COAST = 6.0, 2.5, 4.0
+LONGEST, PATIENCE, LONGEST_COAST = 6.0, 2.5, 2.2
 """s to the top, and with less than all of the current, and of a coast, at most."""
 SLOW = 2.0
 """Times SECONDS, after which the next acceleration has more current: what friction takes at speed nobody knew."""
@@ -145,6 +145,12 @@ class Spin:
             )  # fmt: skip
         return w
 
+    def _wait_by_edges(self, seconds: float, asked: complex) -> None:
+        """Wait while this current is asked for, and look at the edges meanwhile."""
+        for _ in range(round(seconds / LOOK)):
+            self.stand.wait(LOOK)
+            self.now = self._by_edges(asked)
+
     def watch(self, seconds: float) -> tuple[list[Look], bool]:
         """Looks for so long, or until it is as fast as it may be, or will be before a command can end it.
 
@@ -183,11 +189,10 @@ class Spin:
         """A current for so long. The window is kept."""
         self.stand.current(i_d, i_q)
         with self.stand.stretch(kind) as taken:
-            if not self.blind:
+            if self.blind:
+                self._wait_by_edges(seconds, complex(i_d, i_q))
+            else:
                 self.stand.wait(seconds)
-            for _ in range(round(seconds / LOOK) if self.blind else 0):
-                self.stand.wait(LOOK)
-                self.now = self._by_edges(complex(i_d, i_q))
         self.windows.append(taken.window)
         if not self.blind:
             self.now = speed(taken.window.last(LOOK))

@@ -107,8 +107,8 @@ def _without_encoder(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spu
     try:
         found.edges = edges_by_back_emf(windows, R, L_q)
         turning = _with_angles(windows, found.edges)
-        motion = mechanics(turning, found.flux, R, L_q, made.n_p, _falls(stand, L_q.value), UNKNOWN_LATE)
-        found.motion = _wider(motion)
+        falls = _falls(stand, L_q.value)
+        found.motion = mechanics(turning, found.flux, R, L_q, made.n_p, falls, UNKNOWN_LATE, MOTION_FLOOR)
         found.flux = found.motion.flux
         found.inductances = _inductances(stand, found.motion, made.n_p)
         if found.pole_pairs:
@@ -122,17 +122,6 @@ def _without_encoder(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spu
     if found.motion is None:
         found.flux = replace(found.flux, psi=flux_by_back_emf(windows, R, L_q))
     return found
-
-
-def _wider(motion: Mechanics) -> Mechanics:
-    """With what an angle by Hall edges leaves."""
-
-    def wider(of: Quantity) -> Quantity:
-        return replace(of, parts={**of.parts, "Hall edges": MOTION_FLOOR * abs(of.value)})
-
-    friction = None if motion.friction is None else wider(motion.friction)
-    up, down = map(wider, motion.each_way)
-    return replace(motion, J=wider(motion.J), b=wider(motion.b), friction=friction, each_way=(up, down))
 
 
 def _with_angles(windows: Sequence[Window], edges: HallEdges) -> list[Window]:
