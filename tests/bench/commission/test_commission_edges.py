@@ -65,7 +65,7 @@ def test_the_stated_intervals_hold_over_benches() -> None:
         assert told.delay is not None
         delays.append(told.delay)
         late.append(bench.drive.hall_delay)
-    inside(found, want)
+    inside(found, want, alike=12)
     inside(delays, late)
     off = np.degrees([each.value - value for each, value in zip(found, want, strict=True)])
     assert np.abs(off).max() < 0.15
@@ -149,7 +149,7 @@ def test_without_an_encoder_edges_are_where_the_back_emf_has_them() -> None:
         told = edges_by_back_emf(windows, R, L_q, delay)
         found += both(told, bench.drive.ring)
         want += [value for way in truth(bench) for value in way]
-    inside(found, want)
+    inside(found, want, alike=12)
     off = np.degrees([each.value - value for each, value in zip(found, want, strict=True)])
     assert np.median(np.abs(off)) < 0.15
     with pytest.raises(Refused, match="in reverse in fewer than 3 parts"):
@@ -173,7 +173,7 @@ def test_without_an_encoder_the_delay_is_told_by_two_speeds_and_by_what_is_usual
         assert told.delay is not None
         delays.append(told.delay)
         late.append(bench.drive.hall_delay)
-    inside(found, want)
+    inside(found, want, alike=12)
     inside(delays, late)
     with pytest.raises(Refused, match="turn slower too, to tell their delay"):
         edges_by_back_emf(windows[:4], R, L_q)
