@@ -187,13 +187,10 @@ def _pole_pair(angle: Floats, count: Floats, n_p: int, counts: int) -> int:
     return int(np.argmax(np.bincount(turns)))
 
 
-def edges_by_back_emf(
-    windows: Sequence[Window], R: Quantity, L_q: Quantity, delay: Quantity | None = None
-) -> HallEdges:
+def edges_by_back_emf(windows: Sequence[Window], R: Quantity, L_q: Quantity) -> HallEdges:
     """The edges of windows of the kinds "d+" and "d-" at speed, without an encoder; pole pairs are not told apart.
 
-    `delay`, s: by which edges are seen late against currents and voltages; None: it is told by windows at two speeds.
-    Refused where an edge was passed too seldom with either sign of the current, and for one speed where it is needed.
+    Refused where an edge was passed too seldom with either sign of the current, and for one speed.
     """
     every = list(_against_back_emf(windows, R.value, L_q.value))
     n = np.array([[sum(p.kind == kind and p.along == along for p in every) for along in (True, False)]
@@ -207,13 +204,12 @@ def edges_by_back_emf(
         )
     kinds, w = np.array([p.kind for p in every]), np.array([p.w for p in every])
     fastest, slowest = float(np.abs(w).max()), float(np.abs(w).min())
-    if delay is None and slowest > APART * fastest:
+    if slowest > APART * fastest:
         raise Refused(STEP, f"all edges were passed at about {fastest:.0f} rad/s: turn slower too, to tell their delay")
-    off = np.array([p.off for p in every]) - (0.0 if delay is None else delay.value * w)
+    off = np.array([p.off for p in every])
     near = np.array([mean_angle(off[kinds == kind]) for kind in range(2 * SECTORS)])
     along = np.array([1.0 if p.along else -1.0 for p in every]) * fastest / w
-    columns = [(kinds[:, None] == np.arange(2 * SECTORS)).astype(float), along[:, None]]
-    columns += [w[:, None]] if delay is None else []
+    columns = [(kinds[:, None] == np.arange(2 * SECTORS)).astype(float), along[:, None], w[:, None]]
     A, y, weights = np.hstack(columns), wrap(off - near[kinds]), np.sqrt([float(p.n) for p in every])
     told = least_squares.fit(A, y, weights)
     slow = np.abs(w) < 0.5 * (fastest + slowest)
@@ -221,13 +217,10 @@ def edges_by_back_emf(
         for own in (slow, ~slow):  # a slow shaft sways by cogging
             weights[own] /= math.sqrt(float(np.mean(told.residuals[own] ** 2)))
         told = least_squares.fit(A, y, weights)
-    if delay is None:
-        told = told.informed(told.x.size - 1, *USUAL_DELAY)
-        by = {"noise": float(told.sd[-1]) * told.inflation(), "method": BLIND_DELAY_FLOOR / (fastest - slowest)}
-        delay = Quantity("hall_delay", "s", float(told.x[-1]), by)
-        late = delay.parts["method"] * slowest
-    else:
-        late = float(np.mean(np.abs(w))) * delay.sd
+    told = told.informed(told.x.size - 1, *USUAL_DELAY)
+    by = {"noise": float(told.sd[-1]) * told.inflation(), "method": BLIND_DELAY_FLOOR / (fastest - slowest)}
+    delay = Quantity("hall_delay", "s", float(told.x[-1]), by)
+    late = by["method"] * slowest
     noise = (told.sd * told.inflation())[: 2 * SECTORS]
     places = near + told.x[: 2 * SECTORS] + SECTOR_WIDTH * np.tile(np.arange(SECTORS), 2)
     sits = mean_angle(places - SECTOR_WIDTH * np.tile(np.arange(SECTORS), 2))
