@@ -12,7 +12,7 @@ from pathlib import Path
 import bench
 from bench.record.recording import run_of
 from bench.report.style import save
-from bench.twin.check import HEADERS, Checked, check
+from bench.twin.check import HEADERS, Checked, cells, check
 from bench.twin.draw import draw
 from bench.twin.fit import Twin, fit
 
@@ -70,7 +70,7 @@ def tables(twin: Twin, found: Checked) -> dict[str, str]:
     return {
         "fit": table(["quantity", "value", "95 %, drive's units", "absolute", "mostly"], rows),
         "left": table(["left unexplained, rms", ""], left),
-        "check": table([head or "verdict" for head in HEADERS], [found[name].cells for name in COMPARED]),
+        "check": table([head or "verdict" for head in HEADERS], [cells(found[name]) for name in COMPARED]),
     }
 
 
