@@ -47,17 +47,15 @@ def toml(values: Mapping[str, Number], comments: Mapping[str, str], head: Sequen
     sections: dict[str, list[str]] = {}
     for key, value in values.items():
         section, _, name = key.rpartition(".")
-        told = [f"{one:.{DIGITS}g}" for one in value] if isinstance(value, list) else None
-        written = (
-            f"[{', '.join(told)}]"
-            if told is not None
-            else str(value)
-            if isinstance(value, int)
-            else f"{value:.{DIGITS}g}"
-        )
         comment = f" # {comments[key]}" if key in comments else ""
-        sections.setdefault(section, []).append(f"{name} = {written}{comment}")
+        sections.setdefault(section, []).append(f"{name} = {_written(value)}{comment}")
     lines = [f"# {line}".rstrip() for line in head]
     for section, rows in sections.items():
         lines += ["", f"[{section}]", *rows]
     return "\n".join(lines) + "\n"
+
+
+def _written(value: Number) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_written, value))}]"
+    return str(value) if isinstance(value, int) else f"{value:.{DIGITS}g}"
