@@ -250,8 +250,7 @@ def _harmonics(twin: Twin, found: of_winding.Winding) -> None:
 def _sensors(twin: Twin, found: of_winding.Winding) -> None:
     """The encoder's place and delay, and how the gains of the current sensors differ."""
     if found.known("encoder_zero"):
-        zero = found["encoder_zero"] - float(twin.values.get("firmware.encoder_zero", 0.0))  # type: ignore[arg-type]
-        degrees = math.degrees(math.remainder(zero, math.tau))
+        degrees = math.degrees(math.remainder(found["encoder_zero"], math.tau))
         parts = {cause: math.degrees(sd) for cause, sd in found.parts("encoder_zero", ZERO_FLOOR).items()}
         twin.told.append(Value("encoder.offset_deg", degrees, (Quantity("encoder.offset_deg", "deg", degrees, parts),)))
     if late := delay(found):
@@ -319,11 +318,11 @@ def _words(names: Sequence[str]) -> str:
 def _edges(twin: Twin, runs: Sequence[Run], found: of_winding.Winding | None) -> Halls | None:
     """Of the run with the most Hall edges."""
     best = max(runs, key=lambda run: run.rows(EDGES) if EDGES in run.names else 0)
-    if found is None:
-        told = halls(best)
-    else:
+    zero, sd, late = best.parameters.get("encoder_zero", 0.0), 0.0, 0.0
+    if found is not None:
+        zero, late = zero + found["encoder_zero"], delay(found)
         sd = math.hypot(*found.parts("encoder_zero", ZERO_FLOOR).values())
-        told = halls(best, found["encoder_zero"], sd, delay(found))
+    told = halls(best, zero, sd, late)
     if isinstance(told, str):
         twin.untold.append(f"Hall sensors: {told}")
         return None

@@ -18,7 +18,7 @@ import numpy as np
 from bench.commission.window import Floats, clarke
 from bench.twin.directions import Equations, Told, solved, spread
 from bench.twin.samples import Stretch
-from bench.twin.winding import ORDERS, SIGNS, Winding, speed
+from bench.twin.winding import ORDERS, SIGNS, Winding
 
 NAMES = ("J", "b", "tau_coulomb", "cogging_6", "cogging_12", "current_delay")
 LATE = 5
@@ -50,7 +50,6 @@ class Shaft:
     told: Told
     shape: Floats
     """Of each, sd: what it differs by between slow and fast, and between both ways, beyond noise."""
-    windows: int
     residual: float
     """N m rms, of a long window."""
     loaded: bool
@@ -62,7 +61,7 @@ class Shaft:
 def shaft(stretches: Sequence[Stretch], start: Start, found: Winding, n_p: int, torque: float) -> Shaft | None:
     """By stretches with currents and the encoder; None with too few windows in motion. `torque`: rated, N m."""
     used = [s for s in stretches if s.i is not None and s.theta is not None]
-    fastest = max((float(np.abs(speed(s.theta, s.T)).max()) for s in used if s.theta is not None), default=0.0)
+    fastest = max((float(np.abs(s.omega).max()) for s in used), default=0.0)
     blocks = []
     for seconds in (LONG, SHORT):
         rows = [_rows(s, found, n_p, seconds, SLOW * fastest) for s in used if len(s) > seconds / s.T]
@@ -91,7 +90,7 @@ def shaft(stretches: Sequence[Stretch], start: Start, found: Winding, n_p: int, 
     rest = blocks[0][1] - blocks[0][0] @ at
     shape = spread(equations, told, (np.abs(A[:, 1]), A[:, 1]))
     loaded, late_as_b = any(s.load is not None for s in used), 1.5 * (n_p * found["psi_f"]) ** 2 / found["L_q"]
-    return Shaft(told, shape, len(rest), float(np.sqrt(np.mean(rest**2))), loaded, late_as_b)
+    return Shaft(told, shape, float(np.sqrt(np.mean(rest**2))), loaded, late_as_b)
 
 
 def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> tuple[Floats, Floats]:
@@ -104,7 +103,7 @@ def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> 
     sin, cos = np.sin(math.pi * share), np.cos(math.pi * share)
     first = 8.0 / 3.0 / m * 4.0 * by_T * sin**3 * cos
     second = 8.0 / 3.0 / m * 4.0 * by_T**2 * (3.0 * sin**2 * cos**2 - sin**4)
-    omega = speed(s.theta, s.T)
+    omega = s.omega
     theta = found.angle(s.theta, omega)
     torque = torques(s, found, n_p, theta) - (0.0 if s.load is None else s.load)
     i_q = (s.current * np.exp(-1j * theta)).imag

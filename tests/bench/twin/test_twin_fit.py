@@ -12,10 +12,13 @@ from twin_drives import drawn, reversal, steps
 
 import bench
 from bench.errors import BenchError
+from bench.record.reader import captures
 from bench.record.recording import run_of
+from bench.signal.position import wrap
 from bench.twin.check import Checked, check
 from bench.twin.directions import Equations, solved
 from bench.twin.fit import Twin, fit
+from bench.twin.samples import stretches
 from sim.config.params import load_params
 from tests.choice import sampled
 
@@ -123,7 +126,7 @@ def test_a_recording_at_standstill_tells_no_inertia_and_says_so(tmp_path: Path) 
 
 
 def test_edges_are_told_where_voltages_were_not_recorded(tmp_path: Path) -> None:
-    drive = drawn(PAPER)
+    drive = drawn(PAPER, **{"firmware.encoder_zero": 0.4})
     run = run_of(steps(drive, tmp_path / "few.run", channels="hall,theta_enc,i_a,i_b"))
     twin = fit([run])
     assert {one.name.partition(".")[0] for one in twin.quantities} == {"hall"}
@@ -131,6 +134,21 @@ def test_edges_are_told_where_voltages_were_not_recorded(tmp_path: Path) -> None
     assert "where the encoder's zero lies: hall.offset_deg is by the encoder as it is" in twin.untold
     offset = drive.truth["hall.offset_deg"] + drive.truth["encoder.offset_deg"]  # nothing tells the encoder's own
     assert twin["hall.offset_deg"].value == pytest.approx(offset, abs=0.1)
+
+
+def test_the_angle_that_is_fitted_is_the_encoders_whatever_zero_the_drive_adds_meanwhile(tmp_path: Path) -> None:
+    with bench.connect("sim", channels="hall,theta_enc,+theta_true", save=tmp_path / "zero.run") as rig:
+        rig.load.speed(rpm=60)
+        for zero in (0.0, 0.5, -2.0):
+            rig.drive.set("encoder_zero", zero)
+            rig.wait(0.2)
+    run = run_of(tmp_path / "zero.run")
+    pieces = list(stretches(run))
+    true = np.concatenate([capture["theta_true"] for capture in captures(run)])
+    assert len(pieces) >= 3
+    theta = np.concatenate([piece.theta for piece in pieces if piece.theta is not None])
+    assert len(theta) == len(true)
+    assert np.abs(wrap(theta - true)).max() < 0.01
 
 
 def test_nothing_to_fit_is_an_error_that_says_why(tmp_path: Path) -> None:
@@ -196,7 +214,8 @@ def test_noise_in_what_is_known_makes_nothing_smaller_and_is_no_information(seed
 @pytest.mark.long("records five seconds of a drive, fits and follows them")
 def test_an_encoder_may_stand_at_any_angle_and_run_backwards(tmp_path: Path) -> None:
     """The control goes by the Hall sensors, whose wires are exchanged and inverted as the firmware knows."""
-    wires = {"firmware.hall_swap_hat": 4, "firmware.hall_invert_hat": 2, "firmware.encoder_reverse": 1}
+    wires = {"firmware.hall_swap_hat": 4, "firmware.hall_invert_hat": 2, "firmware.encoder_reverse": 1,
+             "firmware.encoder_zero": -0.7}  # fmt: skip
     drive = drawn(PAPER, **wires, **{
         "encoder.offset_deg": 155.0, "wiring.hall_swap": 4, "wiring.hall_invert": 2, "faults.encoder.reversed": 1,
     })  # fmt: skip
