@@ -16,7 +16,6 @@ from bench.commission.window import Floats
 from bench.compare.batches import SURE, VERDICT_WORDS, Batches, Difference, of_rms
 from bench.compare.compare import WORDS, Row, error_rows, take
 from bench.errors import BenchError
-from bench.files import finite
 from bench.record.layout import EDGES, SAMPLES
 from bench.record.reader import Run, captures
 from bench.report.words import number
@@ -67,7 +66,7 @@ class Checked:
 
     def as_json(self) -> dict[str, Any]:
         """Plain data."""
-        told: dict[str, Any] = finite({
+        return {
             "run": str(self.run), "twin": str(self.twin), "tripped": self.tripped or None, "remarks": self.remarks,
             "edges": {"recorded": self.edges[0], "twin": self.edges[1]},
             "rows": [
@@ -76,8 +75,7 @@ class Checked:
                  "verdict": VERDICT_WORDS[row.difference.verdict], "why": row.difference.why or None}
                 for row in self.rows
             ],
-        })  # fmt: skip
-        return told
+        }  # fmt: skip
 
 
 def cells(row: Row) -> list[str]:

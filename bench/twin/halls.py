@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.commission.quantity import Quantity
 from bench.commission.window import Floats
 from bench.errors import BenchError
 from bench.findings.health import resolution
@@ -19,7 +18,7 @@ from bench.signal.edge_fit import EdgeFit
 from bench.signal.position import wrap
 from bench.signal.trace import INPUTS
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS
-from bench.twin.values import Value
+from bench.twin.values import Value, several, single
 from sim.ports.followed import pole_pair_means
 
 PLACE_FLOOR = 0.02
@@ -94,7 +93,7 @@ def halls(run: Run, zero: float = 0.0, zero_sd: float = 0.0, encoder_delay: floa
 
 
 def _told(key: str, unit: str, value: float, noise: float, method: float) -> Value:
-    return Value(key, value, (Quantity(key, unit, value, {"noise": noise, "method": method}),))
+    return single(key, unit, value, {"noise": noise, "method": method})
 
 
 def _places(found: EdgeFit, zero: float, zero_sd: float, blind: bool, more: Floats) -> list[Value]:
@@ -103,11 +102,8 @@ def _places(found: EdgeFit, zero: float, zero_sd: float, blind: bool, more: Floa
     ring = 0.0 if blind else hall_edges.mean_angle(off)
     delta = np.degrees(wrap(ring - off))
     sd = np.degrees(found.place_sd)
-    deltas = tuple(
-        Quantity(f"hall.delta_deg[{k + 1}]", "deg", float(delta[k]), {"noise": float(sd[k]), "method": PLACE_FLOOR})
-        for k in range(SECTORS)
-    )
-    values = [Value("hall.delta_deg", (delta + more).tolist(), deltas)]
+    told = several("hall.delta_deg", "deg", delta, [{"noise": float(one), "method": PLACE_FLOOR} for one in sd])
+    values = [replace(told, value=(delta + more).tolist())]
     if not blind:
         own = math.sqrt(float(np.mean(sd**2)))
         floor = math.hypot(PLACE_FLOOR, math.degrees(zero_sd))
@@ -134,10 +130,6 @@ def _late(found: EdgeFit, encoder_delay: float, blind: bool) -> list[Value]:
         values.append(_told("hall.latency", "s", min(max(common, 0.0), 1e-3), own, LATE_FLOOR))
     if differ:
         for column, key in enumerate(("faults.hall.rise_delay", "faults.hall.fall_delay")):
-            each = [min(float(one), 0.01) for one in apart[:, column]]
-            told = tuple(
-                Quantity(f"{key}[{name}]", "s", each[k], {"noise": float(sd[k, column]), "method": LATE_FLOOR})
-                for k, name in enumerate(INPUTS)
-            )
-            values.append(Value(key, each, told))
+            parts = [{"noise": float(one), "method": LATE_FLOOR} for one in sd[:, column]]
+            values.append(several(key, "s", np.minimum(apart[:, column], 0.01), parts, names=INPUTS))
     return values

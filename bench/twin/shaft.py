@@ -64,21 +64,15 @@ def shaft(stretches: Sequence[Stretch], start: Start, found: Winding, n_p: int, 
     fastest = max((float(np.abs(s.omega).max()) for s in used), default=0.0)
     blocks = []
     for seconds in (LONG, SHORT):
-        rows = [_rows(s, found, n_p, seconds, SLOW * fastest) for s in used if len(s) > seconds / s.T]
-        A = np.concatenate([a for a, _ in rows]) if rows else np.zeros((0, len(NAMES)))
-        blocks.append((A, np.concatenate([b for _, b in rows]) if rows else np.zeros(0)))
+        own = [_rows(s, found, n_p, seconds, SLOW * fastest) for s in used if len(s) > seconds / s.T]
+        A, y = (np.concatenate(each) for each in zip(_none(), *own, strict=True))
+        blocks.append((A, y))
     if min(len(y) for _, y in blocks) < LEAST:
         return None
     x = np.array([start.J, start.b, start.tau_coulomb, *start.cogging, 0.0])
-    scale = np.array(
-        [
-            0.3 * start.J,
-            max(0.5 * start.b, 1e-9),
-            max(0.5 * start.tau_coulomb, 1e-9),
-            *(2 * [0.01 * torque]),
-            USUAL_LATE,
-        ]
-    )
+    scale = np.array([
+        0.3 * start.J, max(0.5 * start.b, 1e-9), max(0.5 * start.tau_coulomb, 1e-9), *(2 * [0.01 * torque]), USUAL_LATE,
+    ])  # fmt: skip
     at = x
     for _ in range(2):
         rms = [max(float(np.sqrt(np.mean((y - A @ at) ** 2))), 1e-12) for A, y in blocks]
@@ -113,7 +107,7 @@ def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> 
     moves = np.array([float(np.abs(omega[k : k + m]).min()) > slow for k in firsts], bool)
     at = firsts[moves][:, None] + np.arange(m)
     if not len(at):
-        return np.zeros((0, len(NAMES))), np.zeros(0)
+        return _none()
     way = s.theta[at] / n_p
     way = way - way[:, :1]
     columns = [
@@ -121,6 +115,11 @@ def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> 
         -np.sin(12.0 * theta[at]) @ phi, -late[at] @ phi,
     ]  # fmt: skip
     return np.stack(columns, 1), torque[at] @ phi
+
+
+def _none() -> tuple[Floats, Floats]:
+    """No equations."""
+    return np.zeros((0, len(NAMES))), np.zeros(0)
 
 
 def torques(s: Stretch, found: Winding, n_p: int, theta: Floats) -> Floats:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 from bench.commission.quantity import Quantity
@@ -29,6 +30,28 @@ class Value:
         unit = f"{self.told[0].unit}, " if self.told[0].unit else ""
         absolute = "" if wide == widths else f" in the drive's own volts and amperes; +- {wide} absolute"
         return f"{unit}95 %: +- {widths}{absolute}"
+
+
+def single(key: str, unit: str, value: float, parts: Mapping[str, float], powers: Sequence[float] = ()) -> Value:
+    """One number; `powers`: those with which volts and amperes enter."""
+    return Value(key, value, (Quantity(key, unit, value, parts, *powers),))
+
+
+def several(
+    key: str, unit: str, values: Iterable[float], parts: Iterable[Mapping[str, float] | None],
+    powers: Sequence[float] = (), names: Sequence[str] = (),
+) -> Value:  # fmt: skip
+    """A list; `parts`: of each number, None of one that was not told.
+
+    `names`: by which its quantities are told apart; 1, 2, … where there are none.
+    """
+    numbers = [float(value) for value in values]
+    told = tuple(
+        Quantity(f"{key}[{name}]", unit, value, of, *powers)
+        for name, value, of in zip(names or count(1), numbers, parts, strict=False)
+        if of is not None
+    )
+    return Value(key, numbers, told)
 
 
 def as_json(told: Sequence[Quantity]) -> list[dict[str, Any]]:
