@@ -52,6 +52,8 @@ COGGING_FLOOR, LATE_FLOOR = 5e-4, 1e-7
 """Of the rated torque; s, sd."""
 MOST = 3_000_000
 """Samples, about: three minutes at 16 kHz."""
+MOST_STEPS = 100
+"""In a PWM period, of the simulated drive's integration."""
 SURE = 3.0
 """Standard deviations, beyond which an encoder, or a current, is believed to be late."""
 DROPS = "dead_time and u_device, the drop of the switches: only what both take together; u_device is as it was before"
@@ -107,6 +109,7 @@ def fit(runs: Sequence[Run], config: Path | None = None) -> Twin:
     base: dict[str, Number] = {} if config is None else dict(leaves(read_toml(config, "configuration")))
     pieces, more = _read(runs)
     base = known(runs, pieces) | base
+    _fine_steps(base)
     figures = nominal(None, base)
     twin = Twin(base, runs=tuple(run.path.name for run in runs))
     if more:
@@ -137,14 +140,13 @@ def _read(runs: Sequence[Run]) -> tuple[list[Stretch], bool]:
 
 
 def _fine_steps(values: dict[str, Number]) -> None:
-    """Integration steps that are short enough for these figures; what follows from others is taken from there."""
-    figures = nominal(None, {key: value for key, value in values.items() if key != "inverter.i_smooth"})
-    motor, inverter, clock = figures["motor"], figures["inverter"], figures["clock"]
-    L, smooth = min(motor["L_d"], motor["L_q"]), values.get("inverter.i_smooth", math.inf)
-    lost = inverter["u_dc"] * inverter["dead_time"] * clock["pwm_hz"] + inverter["u_device"]
-    steps = max(motor["R_s"] / L, lost / (2.0 * L * float(smooth))) / clock["pwm_hz"]  # type: ignore[arg-type]
-    if steps > 0.9 * clock["substeps"]:
-        values["clock.substeps"] = math.ceil(steps / 0.9)
+    """Integration steps that are short enough for these figures, and for what follows from them."""
+    figures = nominal(None, values | {"clock.substeps": MOST_STEPS})
+    motor, inverter, pwm_hz = figures["motor"], figures["inverter"], figures["clock"]["pwm_hz"]
+    L, lost = min(motor["L_d"], motor["L_q"]), inverter["u_dc"] * inverter["dead_time"] * pwm_hz + inverter["u_device"]
+    steps = math.ceil(max(motor["R_s"] / L, lost / (2.0 * L * inverter["i_smooth"])) / pwm_hz / 0.9)
+    if steps > values.get("clock.substeps", 1):
+        values["clock.substeps"] = steps
 
 
 def _electrical(twin: Twin, pieces: Sequence[Stretch], figures: Mapping[str, Any]) -> of_winding.Winding | None:

@@ -8,6 +8,7 @@ from itertools import count
 from typing import Any
 
 from bench.commission.quantity import Quantity
+from protocol.text import printable
 
 Number = float | int | list[float]
 DIGITS = 7
@@ -72,7 +73,7 @@ def toml(values: Mapping[str, Number], comments: Mapping[str, str], head: Sequen
         section, _, name = key.rpartition(".")
         comment = f" # {comments[key]}" if key in comments else ""
         sections.setdefault(section, []).append(f"{name} = {_written(value)}{comment}")
-    lines = [f"# {line}".rstrip() for line in head]
+    lines = [f"# {printable(line)}" for line in head]
     for section, rows in sections.items():
         lines += ["", f"[{section}]", *rows]
     return "\n".join(lines) + "\n"

@@ -125,6 +125,21 @@ def test_a_recording_at_standstill_tells_no_inertia_and_says_so(tmp_path: Path) 
     assert twin.values["motor.psi_f"] == np.float32(drive.config["firmware"]["psi_f_hat"])
 
 
+def test_a_motor_that_is_faster_than_the_pwm_gets_shorter_integration_steps(tmp_path: Path) -> None:
+    config = {"motor": {"R_s": 1.2, "L_d": 6e-5, "L_q": 6e-5}, "clock": {"substeps": 3}}
+    with bench.connect("sim", config=config, save=tmp_path / "rest.run") as rig:
+        rig.wait(0.2)
+        rig.drive.start("encoder")
+        for i_d in (0.5, 1.5, -1.0, 2.0):
+            rig.drive.current(0.0, i_d)
+            rig.wait(0.2)
+    twin = fit([run_of(tmp_path / "rest.run")])
+    (tmp_path / "twin.toml").write_text(twin.toml())
+    params = load_params(tmp_path / "twin.toml")
+    assert params.motor.R_s == pytest.approx(1.2, rel=0.02)
+    assert params.clock.substeps >= 2
+
+
 def test_edges_are_told_where_voltages_were_not_recorded(tmp_path: Path) -> None:
     drive = drawn(PAPER, **{"firmware.encoder_zero": 0.4})
     run = run_of(steps(drive, tmp_path / "few.run", channels="hall,theta_enc,i_a,i_b"))
