@@ -106,7 +106,10 @@ def fit(runs: Sequence[Run], config: Path | None = None) -> Twin:
 
     BenchError where the recordings hold nothing to fit, and for a configuration that the simulated drive refuses.
     """
-    base: dict[str, Number] = {} if config is None else dict(leaves(read_toml(config, "configuration")))
+    base: dict[str, Number] = {}
+    if config is not None:
+        nominal(config, {})  # whose errors name the file
+        base = dict(leaves(read_toml(config, "configuration")))
     pieces, more = _read(runs)
     base = known(runs, pieces) | base
     _fine_steps(base)

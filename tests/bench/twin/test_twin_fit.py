@@ -19,7 +19,7 @@ from bench.twin.check import Checked, check
 from bench.twin.directions import Equations, solved
 from bench.twin.fit import Twin, fit
 from bench.twin.samples import stretches
-from sim.config.params import load_params
+from sim.config.params import ConfigError, load_params
 from tests.choice import sampled
 
 PAPER = 0
@@ -171,6 +171,14 @@ def test_nothing_to_fit_is_an_error_that_says_why(tmp_path: Path) -> None:
         rig.wait(0.3)
     with pytest.raises(BenchError, match=r"idle\.run: nothing can be fitted: .*no voltages"):
         fit([run_of(tmp_path / "idle.run")])
+
+
+def test_a_configuration_that_is_none_is_named(tmp_path: Path) -> None:
+    (tmp_path / "other.toml").write_text("[motor]\nR_s = -1\n")
+    with bench.connect("sim") as rig:
+        idle = rig.record(0.1)
+    with pytest.raises(ConfigError, match=r"motor\.R_s in .*other\.toml"):
+        fit([run_of(idle)], tmp_path / "other.toml")
 
 
 # -- directions -----------------------------------------------------------------------------------------------------
