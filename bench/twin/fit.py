@@ -57,6 +57,7 @@ MOST_STEPS = 100
 SURE = 3.0
 """Standard deviations, beyond which an encoder, or a current, is believed to be late."""
 DROPS = "dead_time and u_device, the drop of the switches: only what both take together; u_device is as it was before"
+LEARNED = "dead_time: the drive has learned and compensated what its parameters leave of it (dead_time_learn = 1)"
 GAINS = "the gain of the DC link's voltage, and the common gain of the currents: nothing tells them from inside"
 
 
@@ -168,8 +169,10 @@ def _electrical(twin: Twin, pieces: Sequence[Stretch], figures: Mapping[str, Any
         twin.untold.append("winding, inverter, shaft: the outputs were hardly on")
         return None
     beyond = found.residual / _expected(found, figures, own)
+    kept = {"dead_time"} if any(p.parameters.get("dead_time_learn") for p in pieces) else set()
+    twin.untold += [LEARNED] if kept else []
     for name, section in SECTIONS.items():
-        if name not in of_winding.NAMES:
+        if name not in of_winding.NAMES or name in kept:
             continue
         twin.values[f"{section}.{name}"] = max(found[name], 0.0)  # also of what is told of several together only
         if found.known(name):

@@ -20,7 +20,9 @@ SETTLE = 0.02
 """s after the outputs went off, from which on no current flows."""
 SLOPE = 1e-3
 """s to either side of a sample, over which the speed is taken."""
-READ_BY = ("encoder_zero", "encoder_reverse", "encoder_lines", "dead_time_hat", "dead_time_comp", "L_s_hat")
+READ_BY = (
+    "encoder_zero", "encoder_reverse", "encoder_lines", "dead_time_hat", "dead_time_comp", "dead_time_learn", "L_s_hat",
+)  # fmt: skip
 """The drive's parameters by which samples are read: a stretch ends where one of them changes."""
 
 

@@ -140,6 +140,15 @@ def test_a_motor_that_is_faster_than_the_pwm_gets_shorter_integration_steps(tmp_
     assert params.clock.substeps >= 2
 
 
+def test_what_a_drive_has_learned_of_its_dead_time_is_not_taken_for_the_dead_time(tmp_path: Path) -> None:
+    drive = drawn(PAPER, **{"firmware.dead_time.dead_time_learn": 1})
+    twin = fit([run_of(steps(drive, tmp_path / "learned.run"))])
+    assert "inverter.dead_time" not in {one.name for one in twin.quantities}
+    assert twin.values["inverter.dead_time"] == pytest.approx(drive.config["firmware"]["dead_time"]["dead_time_hat"])
+    assert any(words.startswith("dead_time: the drive has learned") for words in twin.untold)
+    assert twin["motor.psi_f"].covers(drive.truth["motor.psi_f"])
+
+
 def test_edges_are_told_where_voltages_were_not_recorded(tmp_path: Path) -> None:
     drive = drawn(PAPER, **{"firmware.encoder_zero": 0.4})
     run = run_of(steps(drive, tmp_path / "few.run", channels="hall,theta_enc,i_a,i_b"))
