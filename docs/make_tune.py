@@ -7,23 +7,18 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from markdown_tables import filled, table
+
 DOCS = Path(__file__).parent
 PAGE = DOCS / "tune.md"
-BEGIN, END = "<!-- {}: begin -->\n", "<!-- {}: end -->\n"
 sys.path.insert(0, str(DOCS.parent))  # for `tests`
 
 from tests.tuning.__main__ import FOUND, KINDS  # noqa: E402
 
 SHOWN = 12  # constants, of those that matter
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """In Markdown."""
-    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)) + "\n"
 
 
 def tables(found: dict[str, Any]) -> dict[str, str]:
@@ -71,11 +66,7 @@ def tables(found: dict[str, Any]) -> dict[str, str]:
 
 def page(text: str, found: dict[str, Any]) -> str:
     """The page with its tables."""
-    for name, of in tables(found).items():
-        begin, end = BEGIN.format(name), END.format(name)
-        before, _, rest = text.partition(begin)
-        text = f"{before}{begin}{of}{end}{rest.partition(end)[2]}"
-    return text
+    return filled(text, tables(found))
 
 
 if __name__ == "__main__":

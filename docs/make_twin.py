@@ -6,19 +6,19 @@ python docs/make_twin.py
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
 from pathlib import Path
+
+from markdown_tables import filled, table
 
 import bench
 from bench.record.recording import run_of
 from bench.report.style import save
-from bench.twin.check import HEADERS, Checked, check
+from bench.twin.check import HEADERS, Checked, cells, check
 from bench.twin.draw import draw
 from bench.twin.fit import Twin, fit
 
 DOCS = Path(__file__).parent
 PAGE, PICTURE = DOCS / "twin.md", DOCS / "twin" / "check.png"
-BEGIN, END = "<!-- {}: begin -->\n", "<!-- {}: end -->\n"
 SHOWN = (
     "motor.R_s", "motor.L_d", "motor.L_q", "motor.psi_f", "inverter.dead_time", "mechanics.J", "mechanics.b",
     "mechanics.tau_coulomb", "current_sensor.delay", "encoder.offset_deg", "hall.delta_deg[1]", "hall.hysteresis_deg",
@@ -53,11 +53,6 @@ def recordings(folder: Path) -> tuple[Path, Path]:
     return folder / "steps.run", folder / "reversal.run"
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """In Markdown."""
-    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)) + "\n"
-
-
 def tables(twin: Twin, found: Checked) -> dict[str, str]:
     """By the name of its place."""
     told = {one.name: one for one in twin.quantities}
@@ -70,7 +65,7 @@ def tables(twin: Twin, found: Checked) -> dict[str, str]:
     return {
         "fit": table(["quantity", "value", "95 %, drive's units", "absolute", "mostly"], rows),
         "left": table(["left unexplained, rms", ""], left),
-        "check": table([head or "verdict" for head in HEADERS], [found[name].cells for name in COMPARED]),
+        "check": table([head or "verdict" for head in HEADERS], [cells(found[name]) for name in COMPARED]),
     }
 
 
@@ -82,12 +77,7 @@ def main() -> None:
         twin = fit([run_of(steps)])
         (folder / "twin.toml").write_text(twin.toml())
         found = check(run_of(reversal), folder / "twin.toml")
-    page = PAGE.read_text()
-    for place, text in tables(twin, found).items():
-        begin, end = BEGIN.format(place), END.format(place)
-        before, _, rest = page.partition(begin)
-        page = before + begin + text + end + rest.partition(end)[2]
-    PAGE.write_text(page)
+    PAGE.write_text(filled(PAGE.read_text(), tables(twin, found)))
     PICTURE.parent.mkdir(exist_ok=True)
     save(draw(found), PICTURE)
 

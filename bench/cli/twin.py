@@ -140,9 +140,9 @@ def _print_fit(twin: Twin, out: Path | None) -> None:
 
 def _print_check(found: Checked) -> None:
     from bench.cli.output import table
-    from bench.twin.check import HEADERS
+    from bench.twin.check import HEADERS, cells
 
-    table(list(HEADERS), [row.cells for row in found.rows])
+    table(list(HEADERS), [cells(row) for row in found.rows])
     echo(f"Hall edges: {found.edges[0]} recorded, {found.edges[1]} of the twin")
     differ = [row.name for row in found.differing]
     echo(f"beyond noise: {', '.join(differ) if differ else 'nothing'}")

@@ -45,6 +45,11 @@ class Difference:
         """By how much B is larger."""
         return self.b - self.a
 
+    @property
+    def words(self) -> str:
+        """The verdict, and of what is unknown why."""
+        return VERDICT_WORDS[self.verdict] + (f": {self.why}" if self.why else "")
+
 
 class Batches:
     """Count, sum and sum of squares of a quantity over `BATCHES` batches from tick `first` to `last`."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.compare.batches import VERDICT_WORDS, Batches, Difference, of_means, of_rms, of_std
 from bench.compare.said import EventPair, ParameterPair, events, parameters
@@ -34,6 +36,11 @@ class Row:
     name: str
     unit: str
     difference: Difference
+
+    @property
+    def relative(self) -> float:
+        """Of the size of A's value, by which B's is larger; NaN where that is 0."""
+        return self.difference.value / abs(self.difference.a) if self.difference.a else math.nan
 
 
 @dataclass(frozen=True)
@@ -72,12 +79,8 @@ def compare(a: Side, b: Side, channels: Sequence[str] = ()) -> Comparison:
         common, errors = ([name for name in names if name in channels] for names in (common, errors))
         left_out = []
     sums = [_batches(side, common, errors) for side in (a, b)]
-    rows = []
-    for name in common:
-        rows.append(Row(name, ours[name].unit.symbol, of_means(*(each.sums(name) for each in sums))))
-    for name in errors:
-        for what, judge in (("mean", of_means), ("rms", of_rms), ("std", of_std)):
-            rows.append(Row(f"{name} error, {what}", "°", judge(*(each.sums(_error(name)) for each in sums))))
+    rows = [Row(name, ours[name].unit.symbol, of_means(*(each.sums(name) for each in sums))) for name in common]
+    rows += error_rows(sums, errors)
     if not rows:
         raise BenchError(f"{a.run.path} and {b.run.path} have no channel in common: {'; '.join(left_out)}")
     return Comparison(a, b, tuple(rows), tuple(left_out), tuple(events(a, b)), tuple(parameters(a, b)))
@@ -105,16 +108,33 @@ def _error(name: str) -> str:
     return f"{name} error"
 
 
+def error_rows(sums: Sequence[Batches], errors: Sequence[str]) -> list[Row]:
+    """Mean, rms and standard deviation of position errors, of the sums of A and B."""
+    return [
+        Row(f"{name} error, {what}", "°", judge(*(each.sums(_error(name)) for each in sums)))
+        for name in errors
+        for what, judge in (("mean", of_means), ("rms", of_rms), ("std", of_std))
+    ]
+
+
+def take(
+    sums: Batches, chunk: SampleChunk, channels: Sequence[str], errors: Sequence[str],
+    which: NDArray[np.bool_] | slice = slice(None),
+) -> None:  # fmt: skip
+    """Add samples of a chunk, those to take as `which` (n,) says: channels, and position errors of estimates."""
+    batch = sums.of(chunk.tick[which])
+    for name in channels:
+        sums.add(name, batch, chunk.physical(name)[which])
+    found = position_errors(chunk) if errors else {}
+    for name in errors:
+        sums.add(_error(name), batch, np.degrees(found[name][which]))
+
+
 def _batches(side: Side, channels: Sequence[str], errors: Sequence[str]) -> Batches:
     sums = Batches(side.first, side.last)
     for chunk in side.run.pieces(SAMPLES, side.first, side.last):
         assert isinstance(chunk, SampleChunk)
-        batch = sums.of(chunk.tick)
-        for name in channels:
-            sums.add(name, batch, chunk.physical(name))
-        found = position_errors(chunk) if errors else {}
-        for name in errors:
-            sums.add(_error(name), batch, np.degrees(found[name]))
+        take(sums, chunk, channels, errors)
     return sums
 
 
@@ -149,4 +169,4 @@ def cells(row: Row) -> list[str]:
     """A row of the table."""
     of = row.difference
     numbers = [number(value, ".4g") for value in (of.a, of.b, of.value, of.error)]
-    return [row.name, row.unit or "–", *numbers, VERDICT_WORDS[of.verdict] + (f": {of.why}" if of.why else "")]
+    return [row.name, row.unit or "–", *numbers, of.words]

@@ -357,12 +357,11 @@ def _current(capture: Capture) -> Floats:
     return np.full(len(capture), math.nan)
 
 
-def speed(theta: Floats, t: Floats) -> Floats:
-    """Speed at each sample from the samples `SLOPE` before and after it."""
-    reach = max(1, round(SLOPE * (len(t) - 1) / float(t[-1] - t[0]))) if len(t) > 1 else 1
+def speed(theta: Floats, t: Floats, slope: float = SLOPE) -> Floats:
+    """Speed at each sample from the samples `slope` s before and after it."""
+    reach = max(1, round(slope * (len(t) - 1) / float(t[-1] - t[0]))) if len(t) > 1 else 1
     gone, took = (x[2 * reach :] - x[: -2 * reach] for x in (np.pad(theta, reach, "edge"), np.pad(t, reach, "edge")))
-    slope: Floats = gone / np.maximum(took, 1e-9)
-    return slope
+    return np.asarray(gone / np.maximum(took, 1e-9))
 
 
 def stator(capture: Capture) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:

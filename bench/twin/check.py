@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.commission.window import Floats
-from bench.compare.batches import SURE, VERDICT_WORDS, Batches, Difference, of_means, of_rms, of_std
-from bench.compare.compare import WORDS
+from bench.compare.batches import SURE, VERDICT_WORDS, Batches, Difference, of_rms
+from bench.compare.compare import WORDS, Row, error_rows, take
 from bench.errors import BenchError
-from bench.files import finite
 from bench.record.layout import EDGES, SAMPLES
 from bench.record.reader import Run, captures
 from bench.report.words import number
 from bench.signal.batches import ROUNDING
 from bench.signal.capture import Capture
+from bench.signal.chunks import join
 from bench.signal.position import position_errors, running
 from bench.signal.verdict import Verdict
 from bench.twin.commands import asked
@@ -36,35 +38,6 @@ KNOWN = {channel.name for channel in DRIVE_CHANNELS}
 SHOWN = 4000
 """Points of a channel that are kept to be drawn."""
 HEADERS = ("quantity", "unit", "recorded", "twin", "differs by", "std. error", "")
-
-
-@dataclass(frozen=True)
-class Row:
-    """One quantity of both, while the drive ran."""
-
-    name: str
-    unit: str
-    difference: Difference
-
-    @property
-    def relative(self) -> float:
-        """Of the recorded value, by which the twin's is larger; NaN where that is 0."""
-        return self.difference.value / abs(self.difference.a) if self.difference.a else math.nan
-
-    @property
-    def cells(self) -> list[str]:
-        """Of a table."""
-        of, share = self.difference, self.relative
-        said = f"{100.0 * share:+.2g} %" if math.isfinite(share) else "–"
-        words = VERDICT_WORDS[of.verdict] + (f": {of.why}" if of.why else "")
-        return [
-            self.name,
-            self.unit or "–",
-            *(number(x, ".4g") for x in (of.a, of.b)),
-            said,
-            number(of.error, ".2g"),
-            words,
-        ]
 
 
 @dataclass
@@ -93,7 +66,7 @@ class Checked:
 
     def as_json(self) -> dict[str, Any]:
         """Plain data."""
-        told: dict[str, Any] = finite({
+        return {
             "run": str(self.run), "twin": str(self.twin), "tripped": self.tripped or None, "remarks": self.remarks,
             "edges": {"recorded": self.edges[0], "twin": self.edges[1]},
             "rows": [
@@ -102,8 +75,15 @@ class Checked:
                  "verdict": VERDICT_WORDS[row.difference.verdict], "why": row.difference.why or None}
                 for row in self.rows
             ],
-        })  # fmt: skip
-        return told
+        }  # fmt: skip
+
+
+def cells(row: Row) -> list[str]:
+    """A row of the table."""
+    of, share = row.difference, row.relative
+    said = f"{100.0 * share:+.2g} %" if math.isfinite(share) else "–"
+    both = [number(value, ".4g") for value in (of.a, of.b)]
+    return [row.name, row.unit or "–", *both, said, number(of.error, ".2g"), of.words]
 
 
 def check(run: Run, twin: Path, seed: int = 0, repeats: int = REPEATS) -> Checked:
@@ -115,12 +95,14 @@ def check(run: Run, twin: Path, seed: int = 0, repeats: int = REPEATS) -> Checke
     found = Checked(run.path, twin)
     channels = run.config(SAMPLES).channels
     names = [c.name for c in channels if c.name in KNOWN and c.name not in WORDS and not c.flags & Flag.WRAPS]
+    errors = [name for name in run.info.position_estimates if run.info.position_reference and name in KNOWN]
     units = {c.name: c.unit.symbol for c in channels}
     several, edges = [], []
     for again in range(repeats):
         sums = [Batches(*run.span) for _ in range(2)]
-        kept, follower = _run(run, twin, seed + again, sums, names)
-        several.append(list(_rows(sums, names, units, run)))
+        kept, follower = _run(run, twin, seed + again, sums, names, errors)
+        rows = [Row(f"{name}, rms", units[name], of_rms(*(side.sums(name) for side in sums))) for name in names]
+        several.append(rows + error_rows(sums, errors))
         edges.append(follower.edges)
         if not again:
             found.traces = _traces(kept)
@@ -129,7 +111,7 @@ def check(run: Run, twin: Path, seed: int = 0, repeats: int = REPEATS) -> Checke
         if follower.fault:
             found.tripped = follower.fault
             break
-    found.rows = tuple(_pooled([of[k] for of in several]) for k in range(len(several[0])))
+    found.rows = tuple(map(_pooled, zip(*several, strict=True)))
     found.edges = run.rows(EDGES) if EDGES in run.names else 0, round(sum(edges) / len(edges))
     return found
 
@@ -147,113 +129,80 @@ def _pooled(rows: Sequence[Row]) -> Row:
 
 
 def _run(
-    run: Run, twin: Path, seed: int, sums: Sequence[Batches], names: Sequence[str]
+    run: Run, twin: Path, seed: int, sums: Sequence[Batches], names: Sequence[str], errors: Sequence[str]
 ) -> tuple[list[tuple[SampleChunk, SampleChunk]], Follower]:
-    """One run of the twin: chunks of both, and the twin at its end; `sums` take what both do while the drive runs."""
-    pieces = captures(run)
-    first = next(pieces, None)
+    """One run of the twin: chunks of both, thinned out, and the twin at its end.
+
+    `sums`, of the recording and of the twin, take what each does while the drive runs.
+    """
     n_p = run.info.n_p
-    if first is None or n_p is None:
-        raise BenchError(f"{run.path} holds no samples, or no parameter n_p")
+    if n_p is None:
+        raise BenchError(f"{run.path} holds no parameter n_p")
+    pieces = captures(run)
+    first = next(pieces)
     follower = _begun(run, twin, seed, first, n_p)
+    every = max(1, run.rows(SAMPLES) // SHOWN)
     kept: list[tuple[SampleChunk, SampleChunk]] = []
-    before: int | None = None
-    for capture in _with(first, pieces):
+    before: SampleChunk | None = None
+    for capture in chain([first], pieces):
         samples = capture.samples
         raw = _followed(run, follower, capture, n_p, before)
         own = SampleChunk(samples.config, samples.index, samples.tick, raw[samples.index - samples.index[-1] - 1], ())
-        before = int(samples.index[-1])
-        on = running(samples)
+        before = samples
         for side, chunk in zip(sums, (samples, own), strict=True):
-            _add(side, chunk, names, on)
-        kept.append((samples, own))
+            take(side, chunk, names, errors, running(samples))
+        kept.append((_thinned(samples, every), _thinned(own, every)))
         if follower.fault:
             break
     return kept, follower
 
 
-def _with(first: Capture, rest: Iterator[Capture]) -> Iterator[Capture]:
-    yield first
-    yield from rest
-
-
 def _begun(run: Run, twin: Path, seed: int, first: Capture, n_p: int) -> Follower:
     """The twin with the drive's parameters, where the drive was when the recording began, and at its speed."""
-    theta = None
-    channels = run.config(SAMPLES).channels
+    theta, known = None, first.parameters
     if "theta_enc" in first:
-        offset = Follower(twin, None, seed, channels).encoder_deg
-        count = 360.0 * n_p / (4.0 * run.parameters.get("encoder_lines", math.inf))
+        count = math.tau * n_p / (4.0 * known.get("encoder_lines", math.inf))
         within = count * float(np.random.default_rng(seed).uniform(-0.5, 0.5))  # of a count of the encoder
-        theta = math.remainder(math.degrees(float(first["theta_enc"][0])) - offset + within, 360.0)
-    follower = Follower(twin, theta, seed, channels)
+        theta = float(first["theta_enc"][0]) - known.get("encoder_zero", 0.0) + within
+    follower = Follower(twin, theta, seed, run.config(SAMPLES).channels)
     if follower.pwm_hz != run.info.pwm_hz:
         raise BenchError(f"{twin} has a PWM rate of {follower.pwm_hz} Hz, and {run.path} {run.info.pwm_hz} Hz")
-    for name, value in first.parameters.items():
+    for name, value in known.items():
         follower.set(name, value)
     begin = asked(first, n_p)[0]
     if begin.state == DriveState.RUNNING:
-        follower.follow([Asked(1, int(DriveState.IDLE)), begin._replace(periods=round(RUN_IN * follower.pwm_hz))])
+        follower.follow(Asked(1, int(DriveState.IDLE)))
+        follower.follow(begin._replace(periods=round(RUN_IN * follower.pwm_hz)))
         follower.edges = 0
     return follower
 
 
-def _followed(run: Run, follower: Follower, capture: Capture, n_p: int, before: int | None) -> Any:
+def _followed(run: Run, follower: Follower, capture: Capture, n_p: int, before: SampleChunk | None) -> NDArray[np.void]:
     """Raw samples of the twin, one a period, up to the capture's last one; parameters change as they did."""
-    periods = asked(capture, n_p, before)
-    first = int(capture.samples.index[-1]) + 1 - sum(one.periods for one in periods)
     tick, index = capture.samples.tick, capture.samples.index
-    changes = [
-        (int(index[min(int(np.searchsorted(tick, change.tick, side="right")), len(index) - 1)]), change)
-        for change in run.parameters.changes
-        if (before is None or change.tick > tick[0]) and change.tick <= tick[-1]
-    ]
-    parts, at = [], first
+    since = int(tick[0] if before is None else before.tick[-1])
+    due = [change for change in run.parameters.changes if since <= change.tick < tick[-1]]
+    begins = [int(index[np.searchsorted(tick, change.tick, side="right")]) for change in due]
+    periods = asked(capture, n_p, None if before is None else int(before.index[-1]), begins)
+    parts, at = [], int(index[-1]) + 1 - sum(one.periods for one in periods)
     for one in periods:
-        left = one
-        while changes and changes[0][0] < at + left.periods:
-            moment, change = changes.pop(0)
-            if moment > at:
-                parts.append(follower.follow([left._replace(periods=moment - at)]))
-                left, at = left._replace(periods=left.periods - (moment - at)), moment
-            follower.set(change.name, change.value)
-        parts.append(follower.follow([left]))
-        at += left.periods
+        for begin, change in zip(begins, due, strict=True):
+            if begin == at:
+                follower.set(change.name, change.value)
+        parts.append(follower.follow(one))
+        at += one.periods
     return np.concatenate(parts)
 
 
-def _add(side: Batches, chunk: SampleChunk, names: Sequence[str], on: Any) -> None:
-    batch = side.of(chunk.tick[on])
-    for name in names:
-        side.add(name, batch, chunk.physical(name)[on])
-    for name, error in position_errors(chunk).items():
-        side.add(f"{name} error", batch, np.degrees(error[on]))
-
-
-def _rows(sums: Sequence[Batches], names: Sequence[str], units: dict[str, str], run: Run) -> Iterator[Row]:
-    for name in names:
-        yield Row(f"{name}, rms", units[name], of_rms(*(side.sums(name) for side in sums)))
-    for name in run.info.position_estimates if run.info.position_reference else ():
-        if name in KNOWN:
-            for what, judge in (("mean", of_means), ("rms", of_rms), ("std", of_std)):
-                yield Row(f"{name} error, {what}", "°", judge(*(side.sums(f"{name} error") for side in sums)))
+def _thinned(chunk: SampleChunk, every: int) -> SampleChunk:
+    return replace(chunk, index=chunk.index[::every], tick=chunk.tick[::every], raw=chunk.raw[::every], gaps=())
 
 
 def _traces(kept: Sequence[tuple[SampleChunk, SampleChunk]]) -> dict[str, tuple[Floats, Floats, Floats]]:
-    every = max(1, sum(len(chunk) for chunk, _ in kept) // SHOWN)
-    found = {}
-    hz = kept[0][0].config.tick_hz
-    names = kept[0][0].raw.dtype.names or ()
-    errors = [position_errors(chunk) for pair in kept for chunk in pair]
-    for name in ("omega_enc", "i_q", *errors[0]):
-        if name not in names:
-            continue
-        columns = [[], [], []]  # type: list[list[Floats]]
-        for k, pair in enumerate(kept):
-            columns[0].append(pair[0].tick[::every] / hz)
-            for side, chunk in enumerate(pair):
-                own = errors[2 * k + side].get(name)
-                columns[1 + side].append((chunk.physical(name) if own is None else np.degrees(own))[::every])
-        t, a, b = (np.concatenate(column) for column in columns)
-        found[name] = t, a, b
-    return found
+    recorded, twin = (join(side) for side in zip(*kept, strict=True))
+    t, names = recorded.tick / recorded.config.tick_hz, recorded.raw.dtype.names or ()
+    found = {name: (t, recorded.physical(name), twin.physical(name)) for name in ("omega_enc", "i_q") if name in names}
+    errors = position_errors(twin)
+    return found | {
+        name: (t, np.degrees(error), np.degrees(errors[name])) for name, error in position_errors(recorded).items()
+    }

@@ -8,6 +8,8 @@ controller's does at standstill.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bench.commission.window import Booleans, Integers
@@ -22,10 +24,10 @@ NEAR = 8
 """Samples to either side, of which half must differ from their neighbour where a speed controller is at work."""
 
 
-def asked(capture: Capture, n_p: int, before: int | None = None) -> list[Asked]:
+def asked(capture: Capture, n_p: int, before: int | None = None, cuts: Sequence[int] = ()) -> list[Asked]:
     """What was asked for in the periods that end at a capture's samples; `before`: index of the sample before it.
 
-    BenchError without a channel that it takes.
+    What goes on at one of the periods `cuts` begins anew there. BenchError without a channel that it takes.
     """
     if lacking := [name for name in NEEDED if name not in capture]:
         raise BenchError(f"the recording does not tell what the drive was asked for: no channel {', '.join(lacking)}")
@@ -39,16 +41,10 @@ def asked(capture: Capture, n_p: int, before: int | None = None) -> list[Asked]:
     mode = _mode(capture)[at]
     on = state == DriveState.RUNNING
     by_speed = mode == SetpointMode.SPEED
-    columns = np.stack(
-        [
-            state,
-            np.where(on, mode, 0),
-            np.where(on, np.where(by_speed, speed / n_p, i_q), 0.0),
-            np.where(on, i_d, 0.0),
-            load,
-        ]
-    )
-    begins = np.flatnonzero(np.concatenate([[True], np.any(np.diff(columns, axis=1) != 0.0, axis=0)]))
+    value = np.where(by_speed, speed / n_p, i_q)
+    columns = np.stack([state, *(np.where(on, one, 0.0) for one in (mode, value, i_d)), load])
+    anew = np.any(np.diff(columns, axis=1) != 0.0, axis=0) | np.isin(periods[1:], cuts)
+    begins = np.flatnonzero(np.concatenate([[True], anew]))
     lengths = np.diff(np.append(begins, len(periods)))
     return [
         Asked(int(n), int(columns[0, k]), int(columns[1, k]), *map(float, columns[2:, k]))

@@ -13,7 +13,7 @@ import numpy as np
 from bench.commission.quantity import Quantity
 from bench.commission.window import Floats
 from bench.errors import BenchError
-from bench.files import finite, leaves, read_toml
+from bench.files import leaves, read_toml
 from bench.record.layout import EDGES
 from bench.record.reader import Run
 from bench.twin import shaft as of_shaft
@@ -21,7 +21,7 @@ from bench.twin import winding as of_winding
 from bench.twin.halls import Halls, halls
 from bench.twin.known import known
 from bench.twin.samples import Stretch, stretches
-from bench.twin.values import Number, Value, as_json, toml
+from bench.twin.values import Number, Value, as_json, several, single, toml
 from protocol import __version__
 from sim.ports.direct import nominal
 
@@ -36,8 +36,8 @@ MUCH = 1.7
 ZERO_FLOOR, DELAY_FLOOR, GAIN_FLOOR, HARMONIC_FLOOR = math.radians(0.02), 1e-6, 2.3e-3, 3e-4
 """rad, s, and shares, sd, likewise."""
 POWERS = {
-    "R_s": (1, -1), "L_d": (1, -1), "L_q": (1, -1), "psi_f": (1, 0), "J": (1, 1), "b": (1, 1), "tau_coulomb": (1, 1),
-    "cogging": (1, 1),
+    "R_s": (1, -1), "L_d": (1, -1), "L_q": (1, -1), "psi_f": (1, 0), "i_smooth": (0, 1), "J": (1, 1), "b": (1, 1),
+    "tau_coulomb": (1, 1), "cogging": (1, 1),
 }  # fmt: skip
 """With which volts and amperes enter."""
 SECTIONS = {
@@ -52,9 +52,12 @@ COGGING_FLOOR, LATE_FLOOR = 5e-4, 1e-7
 """Of the rated torque; s, sd."""
 MOST = 3_000_000
 """Samples, about: three minutes at 16 kHz."""
+MOST_STEPS = 100
+"""In a PWM period, of the simulated drive's integration."""
 SURE = 3.0
 """Standard deviations, beyond which an encoder, or a current, is believed to be late."""
 DROPS = "dead_time and u_device, the drop of the switches: only what both take together; u_device is as it was before"
+LEARNED = "dead_time: the drive has learned and compensated what its parameters leave of it (dead_time_learn = 1)"
 GAINS = "the gain of the DC link's voltage, and the common gain of the currents: nothing tells them from inside"
 
 
@@ -92,12 +95,11 @@ class Twin:
 
     def as_json(self) -> dict[str, Any]:
         """Plain data."""
-        told: dict[str, Any] = finite({
+        return {
             "runs": list(self.runs), "values": self.values, "quantities": as_json(self.quantities),
             "residuals": [{"of": k, "rms": v, "unit": unit} for k, (v, unit) in self.residuals.items()],
             "not_told": self.untold,
-        })  # fmt: skip
-        return told
+        }  # fmt: skip
 
 
 def fit(runs: Sequence[Run], config: Path | None = None) -> Twin:
@@ -105,9 +107,13 @@ def fit(runs: Sequence[Run], config: Path | None = None) -> Twin:
 
     BenchError where the recordings hold nothing to fit, and for a configuration that the simulated drive refuses.
     """
-    base: dict[str, Number] = {} if config is None else dict(leaves(read_toml(config, "configuration")))
+    base: dict[str, Number] = {}
+    if config is not None:
+        nominal(config, {})  # whose errors name the file
+        base = dict(leaves(read_toml(config, "configuration")))
     pieces, more = _read(runs)
     base = known(runs, pieces) | base
+    _fine_steps(base)
     figures = nominal(None, base)
     twin = Twin(base, runs=tuple(run.path.name for run in runs))
     if more:
@@ -138,14 +144,13 @@ def _read(runs: Sequence[Run]) -> tuple[list[Stretch], bool]:
 
 
 def _fine_steps(values: dict[str, Number]) -> None:
-    """Integration steps that are short enough for these figures; what follows from others is taken from there."""
-    figures = nominal(None, {key: value for key, value in values.items() if key != "inverter.i_smooth"})
-    motor, inverter, clock = figures["motor"], figures["inverter"], figures["clock"]
-    L, smooth = min(motor["L_d"], motor["L_q"]), values.get("inverter.i_smooth", math.inf)
-    lost = inverter["u_dc"] * inverter["dead_time"] * clock["pwm_hz"] + inverter["u_device"]
-    steps = max(motor["R_s"] / L, lost / (2.0 * L * float(smooth))) / clock["pwm_hz"]  # type: ignore[arg-type]
-    if steps > 0.9 * clock["substeps"]:
-        values["clock.substeps"] = math.ceil(steps / 0.9)
+    """Integration steps that are short enough for these figures, and for what follows from them."""
+    figures = nominal(None, values | {"clock.substeps": MOST_STEPS})
+    motor, inverter, pwm_hz = figures["motor"], figures["inverter"], figures["clock"]["pwm_hz"]
+    L, lost = min(motor["L_d"], motor["L_q"]), inverter["u_dc"] * inverter["dead_time"] * pwm_hz + inverter["u_device"]
+    steps = math.ceil(max(motor["R_s"] / L, lost / (2.0 * L * inverter["i_smooth"])) / pwm_hz / 0.9)
+    if steps > values.get("clock.substeps", 1):
+        values["clock.substeps"] = steps
 
 
 def _electrical(twin: Twin, pieces: Sequence[Stretch], figures: Mapping[str, Any]) -> of_winding.Winding | None:
@@ -164,8 +169,10 @@ def _electrical(twin: Twin, pieces: Sequence[Stretch], figures: Mapping[str, Any
         twin.untold.append("winding, inverter, shaft: the outputs were hardly on")
         return None
     beyond = found.residual / _expected(found, figures, own)
+    kept = {"dead_time"} if any(p.parameters.get("dead_time_learn") for p in pieces) else set()
+    twin.untold += [LEARNED] if kept else []
     for name, section in SECTIONS.items():
-        if name not in of_winding.NAMES:
+        if name not in of_winding.NAMES or name in kept:
             continue
         twin.values[f"{section}.{name}"] = max(found[name], 0.0)  # also of what is told of several together only
         if found.known(name):
@@ -210,33 +217,17 @@ def _at_rest(twin: Twin, pieces: Sequence[Stretch], figures: Mapping[str, Any]) 
     offset, noise = rest.mean(axis=1), float(np.sqrt(np.mean(rest.std(axis=1) ** 2)))
     step = sensor["range"] / 2.0 ** (sensor["bits"] - 1)
     own = math.sqrt(max(noise**2 - step**2 / 12.0, 0.0))
-    quantities = tuple(
-        Quantity(f"current_sensor.offset[{name}]", "A", float(one),
-                 {"noise": noise / math.sqrt(rest.shape[1]), "steps": step / 12.0}, 0.0, 1.0)
-        for name, one in zip("abc", offset, strict=True)
-    )  # fmt: skip
-    twin.told.append(Value("current_sensor.offset", [float(one) for one in offset], quantities))
-    parts = {"noise": noise / math.sqrt(2.0 * rest.size), "steps": step / 12.0}
-    twin.told.append(
-        Value("current_sensor.noise_rms", own, (Quantity("current_sensor.noise_rms", "A", own, parts, 0.0, 1.0),))
-    )
+    of_mean = {"noise": noise / math.sqrt(rest.shape[1]), "steps": step / 12.0}
+    of_noise = {"noise": noise / math.sqrt(2.0 * rest.size), "steps": step / 12.0}
+    twin.told += [
+        several("current_sensor.offset", "A", offset, [of_mean] * 3, (0, 1), "abc"),
+        single("current_sensor.noise_rms", "A", own, of_noise, (0, 1)),
+    ]
     return offset, noise
 
 
 def _value(section: str, name: str, value: float, parts: Mapping[str, float]) -> Value:
-    key, value = f"{section}.{name}", max(value, 0.0)
-    return Value(key, value, (Quantity(key, UNITS[name], value, parts, *POWERS.get(name, ())),))
-
-
-def _several(key: str, values: Sequence[float], parts: Sequence[Mapping[str, float] | None], unit: str = "") -> Value:
-    """A list; `parts`: of each number, None of one that was not told."""
-    powers = POWERS.get(key.rpartition(".")[2], ())
-    quantities = tuple(
-        Quantity(f"{key}[{k + 1}]", unit, float(value), of, *powers)
-        for k, (value, of) in enumerate(zip(values, parts, strict=True))
-        if of is not None
-    )
-    return Value(key, [float(one) for one in values], quantities)
+    return single(f"{section}.{name}", UNITS[name], max(value, 0.0), parts, POWERS.get(name, ()))
 
 
 def _harmonics(twin: Twin, found: of_winding.Winding) -> None:
@@ -244,23 +235,22 @@ def _harmonics(twin: Twin, found: of_winding.Winding) -> None:
     if any(map(found.known, names)):
         values = [found[name] for name in names]
         parts = [found.parts(name, HARMONIC_FLOOR) if found.known(name) else None for name in names]
-        twin.told.append(_several("motor.emf_harmonics", values, parts))
+        twin.told.append(several("motor.emf_harmonics", "", values, parts))
 
 
 def _sensors(twin: Twin, found: of_winding.Winding) -> None:
     """The encoder's place and delay, and how the gains of the current sensors differ."""
     if found.known("encoder_zero"):
-        zero = found["encoder_zero"] - float(twin.values.get("firmware.encoder_zero", 0.0))  # type: ignore[arg-type]
-        degrees = math.degrees(math.remainder(zero, math.tau))
+        degrees = math.degrees(math.remainder(found["encoder_zero"], math.tau))
         parts = {cause: math.degrees(sd) for cause, sd in found.parts("encoder_zero", ZERO_FLOOR).items()}
-        twin.told.append(Value("encoder.offset_deg", degrees, (Quantity("encoder.offset_deg", "deg", degrees, parts),)))
+        twin.told.append(single("encoder.offset_deg", "deg", degrees, parts))
     if late := delay(found):
         parts = found.parts("encoder_delay", DELAY_FLOOR)
-        twin.told.append(Value("encoder.latency", late, (Quantity("encoder.latency", "s", late, parts),)))
+        twin.told.append(single("encoder.latency", "s", late, parts))
     if found.known("gain_a") and found.known("gain_b"):
         a, b = found.parts("gain_a", GAIN_FLOOR), found.parts("gain_b", GAIN_FLOOR)
         mean = {cause: math.hypot(a[cause], b[cause]) / math.sqrt(2.0) for cause in a}
-        twin.told.append(_several("current_sensor.gain_error", list(found.gains()), [a, b, mean]))
+        twin.told.append(several("current_sensor.gain_error", "", found.gains(), [a, b, mean]))
     twin.untold += [GAINS, DROPS]
 
 
@@ -296,12 +286,10 @@ def _mechanical(twin: Twin, pieces: Sequence[Stretch], found: of_winding.Winding
             {"noise": float(x.sd[k]), "method": COGGING_FLOOR * torque, "shape": float(told.shape[k])}
             if x.known[k] else None for k in (3, 4)
         ]  # fmt: skip
-        twin.told.append(_several("motor.cogging", list(x.x[3:5]), parts_of, "N m"))
+        twin.told.append(several("motor.cogging", "N m", x.x[3:5], parts_of, POWERS["cogging"]))
     own = {"noise": float(x.sd[of_shaft.LATE]), "method": LATE_FLOOR, "shape": float(told.shape[of_shaft.LATE])}
     if late and x.x[of_shaft.LATE] > SURE * math.hypot(*own.values()):
-        value = min(float(x.x[of_shaft.LATE]), 2e-5)
-        quantity = Quantity("current_sensor.delay", "s", value, own)
-        twin.told.append(Value("current_sensor.delay", value, (quantity,)))
+        twin.told.append(single("current_sensor.delay", "s", min(float(x.x[of_shaft.LATE]), 2e-5), own))
     twin.untold += [_words(names) for names in x.untold]
     if not told.loaded:
         twin.untold.append("a load's torque: none was recorded, and none is taken to have acted")
@@ -319,11 +307,11 @@ def _words(names: Sequence[str]) -> str:
 def _edges(twin: Twin, runs: Sequence[Run], found: of_winding.Winding | None) -> Halls | None:
     """Of the run with the most Hall edges."""
     best = max(runs, key=lambda run: run.rows(EDGES) if EDGES in run.names else 0)
-    if found is None:
-        told = halls(best)
-    else:
+    zero, sd, late = best.parameters.get("encoder_zero", 0.0), 0.0, 0.0
+    if found is not None:
+        zero, late = zero + found["encoder_zero"], delay(found)
         sd = math.hypot(*found.parts("encoder_zero", ZERO_FLOOR).values())
-        told = halls(best, found["encoder_zero"], sd, delay(found))
+    told = halls(best, zero, sd, late)
     if isinstance(told, str):
         twin.untold.append(f"Hall sensors: {told}")
         return None

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.commission.quantity import Quantity
 from bench.commission.window import Floats
 from bench.errors import BenchError
 from bench.findings.health import resolution
@@ -16,8 +15,10 @@ from bench.record.layout import EDGES
 from bench.record.reader import Run
 from bench.signal import hall_edges
 from bench.signal.edge_fit import EdgeFit
+from bench.signal.position import wrap
+from bench.signal.trace import INPUTS
 from bench.signal.waveforms.sectors import SECTOR_WIDTH, SECTORS
-from bench.twin.values import Number, Value
+from bench.twin.values import Value, several, single
 from sim.ports.followed import pole_pair_means
 
 PLACE_FLOOR = 0.02
@@ -30,7 +31,6 @@ SURE = 3.0
 """Standard deviations beyond which a spread, or a delay of its own, is believed."""
 MOST_HYSTERESIS, MOST_JITTER = 10.0, 3.0
 """deg, that the simulated drive's sensors can have."""
-INPUTS = "abc"
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,6 @@ class Halls:
     """deg rms, of a passage about its edge's place."""
     resolution: float
     """deg rms, to which an edge is known by the steps of its time, and of the encoder's angle."""
-    passages: int
     untold: tuple[str, ...]
     blind: bool
     """Whether no encoder was recorded."""
@@ -64,55 +63,47 @@ def halls(run: Run, zero: float = 0.0, zero_sd: float = 0.0, encoder_delay: floa
         return "too few Hall edges were passed: each of the six is needed, in two turns at least"
     if inputs.inverted or (not measured.blind and not 0.9 < inputs.ratio < 1.1):
         return "Hall edges and encoder do not agree in order: mend the wiring first (bench hall check)"
-    values = [*_places(found, zero, zero_sd, measured.blind), *_late(found, encoder_delay, measured.blind)]
+    n = found.passages
     sharp = math.degrees(resolution(looked_at, measured))
-    n = np.maximum(found.n, 0)
-    rms = math.degrees(math.sqrt(float(np.nansum(n * found.jitter**2) / n.sum())))
+    rms = math.degrees(math.sqrt(float(np.nansum(found.n * found.jitter**2) / n)))
     own = math.sqrt(max(rms**2 - sharp**2, 0.0))
-    values.append(
-        _told(
-            "hall.jitter_deg",
-            "deg",
-            min(own, MOST_JITTER),
-            rms / math.sqrt(2.0 * n.sum()),
-            sharp**2 / rms + JITTER_FLOOR * own,
-        )
-    )
+    by_pair, uneven = found.pairs.shape[1], 0.0
     spread = math.degrees(float(found.pairs.std()))
-    if found.apart and found.pairs.shape[1] > 1 and spread > SURE * rms / math.sqrt(n.sum() / found.pairs.size):
-        most = min(math.sqrt(3.0) * spread, 10.0)  # the simulated drive draws them evenly
-        values.append(_told("hall.pole_pair_deg", "deg", most, most / math.sqrt(2.0 * found.pairs.size), 0.0))
-        means = pole_pair_means(most, found.pairs.shape[1])  # what it draws is not to move the edges' means
-        values = [replace(v, value=_sums(v.value, means)) if v.key == "hall.delta_deg" else v for v in values]
-    untold = ["which edge of which pole pair lies where: the twin's pole pairs have the spread, and not the pattern"]
-    untold = untold if len(values) and values[-1].key == "hall.pole_pair_deg" else []
+    if found.apart and by_pair > 1 and spread > SURE * rms / math.sqrt(n / found.pairs.size):
+        uneven = min(math.sqrt(3.0) * spread, 10.0)  # the simulated drive draws them evenly
+    means = pole_pair_means(uneven, by_pair)  # what it draws is not to move the edges' means
+    jitter = rms / math.sqrt(2.0 * n), sharp**2 / max(rms, sharp, 1e-9) + JITTER_FLOOR * own
+    values = [
+        *_places(found, zero, zero_sd, measured.blind, means), *_late(found, encoder_delay, measured.blind),
+        _told("hall.jitter_deg", "deg", min(own, MOST_JITTER), *jitter),
+    ]  # fmt: skip
+    untold = []
+    if uneven:
+        values.append(_told("hall.pole_pair_deg", "deg", uneven, uneven / math.sqrt(2.0 * found.pairs.size), 0.0))
+        untold.append(
+            "which edge of which pole pair lies where: the twin's pole pairs have the spread, not the pattern"
+        )
     if measured.blind:
         untold.append("the angle of the Hall ring, and a delay that all edges share: no encoder was recorded")
-    if np.isnan(found.hysteresis).all():
+    if np.isnan(found.hysteresis).any():
         untold.append("hall.hysteresis_deg: the shaft turned one way only")
-    if np.isnan(found.delay).all():
+    if np.isnan(found.delay).any():
         untold.append("delays of the Hall edges: the speed did not change enough; the places are those at speed")
-    return Halls(tuple(values), rms, sharp, found.passages, tuple(untold), measured.blind, found.n_p or None)
-
-
-def _sums(delta: Number, more: Floats) -> list[float]:
-    return [float(one) for one in np.asarray(delta) + more]
+    return Halls(tuple(values), rms, sharp, tuple(untold), measured.blind, found.n_p or None)
 
 
 def _told(key: str, unit: str, value: float, noise: float, method: float) -> Value:
-    return Value(key, value, (Quantity(key, unit, value, {"noise": noise, "method": method}),))
+    return single(key, unit, value, {"noise": noise, "method": method})
 
 
-def _places(found: EdgeFit, zero: float, zero_sd: float, blind: bool) -> list[Value]:
-    off = np.angle(np.exp(1j * (found.place - SECTOR_WIDTH * np.arange(SECTORS) - zero)))
-    ring = 0.0 if blind else float(np.angle(np.exp(1j * off).mean()))
-    delta = np.degrees(np.angle(np.exp(1j * (ring - off))))
+def _places(found: EdgeFit, zero: float, zero_sd: float, blind: bool, more: Floats) -> list[Value]:
+    """`more`: deg, (6,), that go to the configuration's `hall.delta_deg` beside what was told."""
+    off = found.place - SECTOR_WIDTH * np.arange(SECTORS) - zero
+    ring = 0.0 if blind else hall_edges.mean_angle(off)
+    delta = np.degrees(wrap(ring - off))
     sd = np.degrees(found.place_sd)
-    deltas = tuple(
-        Quantity(f"hall.delta_deg[{k + 1}]", "deg", float(delta[k]), {"noise": float(sd[k]), "method": PLACE_FLOOR})
-        for k in range(SECTORS)
-    )
-    values = [Value("hall.delta_deg", [float(one) for one in delta], deltas)]
+    told = several("hall.delta_deg", "deg", delta, [{"noise": float(one), "method": PLACE_FLOOR} for one in sd])
+    values = [replace(told, value=(delta + more).tolist())]
     if not blind:
         own = math.sqrt(float(np.mean(sd**2)))
         floor = math.hypot(PLACE_FLOOR, math.degrees(zero_sd))
@@ -139,10 +130,6 @@ def _late(found: EdgeFit, encoder_delay: float, blind: bool) -> list[Value]:
         values.append(_told("hall.latency", "s", min(max(common, 0.0), 1e-3), own, LATE_FLOOR))
     if differ:
         for column, key in enumerate(("faults.hall.rise_delay", "faults.hall.fall_delay")):
-            each = [min(float(one), 0.01) for one in apart[:, column]]
-            told = tuple(
-                Quantity(f"{key}[{name}]", "s", each[k], {"noise": float(sd[k, column]), "method": LATE_FLOOR})
-                for k, name in enumerate(INPUTS)
-            )
-            values.append(Value(key, each, told))
+            parts = [{"noise": float(one), "method": LATE_FLOOR} for one in sd[:, column]]
+            values.append(several(key, "s", np.minimum(apart[:, column], 0.01), parts, names=INPUTS))
     return values

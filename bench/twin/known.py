@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from bench.files import leaves
 from bench.record.reader import Run
 from bench.twin.samples import Stretch
 from bench.twin.values import Number
@@ -48,7 +48,7 @@ def known(runs: Sequence[Run], pieces: Sequence[Stretch]) -> dict[str, Number]:
 def _firmware(parameters: Mapping[str, float]) -> dict[str, Number]:
     """The configuration's keys of the firmware's parameters."""
     found: dict[str, Number] = {}
-    for key, value in _leaves(nominal(None, {})["firmware"], "firmware"):
+    for key, value in leaves(nominal(None, {})["firmware"], "firmware."):
         name = key.rpartition(".")[2]
         if isinstance(value, (list, tuple)):
             parts = [parameters.get(f"{name}_{k}") for k in range(1, len(value) + 1)]
@@ -57,11 +57,3 @@ def _firmware(parameters: Mapping[str, float]) -> dict[str, Number]:
         elif name in parameters:
             found[key] = int(parameters[name]) if isinstance(value, int) else float(parameters[name])
     return found
-
-
-def _leaves(table: Mapping[str, Any], above: str) -> Iterator[tuple[str, Any]]:
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{above}.{key}")
-        else:
-            yield f"{above}.{key}", value

@@ -18,7 +18,7 @@ import numpy as np
 from bench.commission.window import Floats, clarke
 from bench.twin.directions import Equations, Told, solved, spread
 from bench.twin.samples import Stretch
-from bench.twin.winding import ORDERS, SIGNS, Winding, speed
+from bench.twin.winding import ORDERS, SIGNS, Winding
 
 NAMES = ("J", "b", "tau_coulomb", "cogging_6", "cogging_12", "current_delay")
 LATE = 5
@@ -50,7 +50,6 @@ class Shaft:
     told: Told
     shape: Floats
     """Of each, sd: what it differs by between slow and fast, and between both ways, beyond noise."""
-    windows: int
     residual: float
     """N m rms, of a long window."""
     loaded: bool
@@ -62,24 +61,18 @@ class Shaft:
 def shaft(stretches: Sequence[Stretch], start: Start, found: Winding, n_p: int, torque: float) -> Shaft | None:
     """By stretches with currents and the encoder; None with too few windows in motion. `torque`: rated, N m."""
     used = [s for s in stretches if s.i is not None and s.theta is not None]
-    fastest = max((float(np.abs(speed(s.theta, s.T)).max()) for s in used if s.theta is not None), default=0.0)
+    fastest = max((float(np.abs(s.omega).max()) for s in used), default=0.0)
     blocks = []
     for seconds in (LONG, SHORT):
-        rows = [_rows(s, found, n_p, seconds, SLOW * fastest) for s in used if len(s) > seconds / s.T]
-        A = np.concatenate([a for a, _ in rows]) if rows else np.zeros((0, len(NAMES)))
-        blocks.append((A, np.concatenate([b for _, b in rows]) if rows else np.zeros(0)))
+        own = [_rows(s, found, n_p, seconds, SLOW * fastest) for s in used if len(s) > seconds / s.T]
+        A, y = (np.concatenate(each) for each in zip(_none(), *own, strict=True))
+        blocks.append((A, y))
     if min(len(y) for _, y in blocks) < LEAST:
         return None
     x = np.array([start.J, start.b, start.tau_coulomb, *start.cogging, 0.0])
-    scale = np.array(
-        [
-            0.3 * start.J,
-            max(0.5 * start.b, 1e-9),
-            max(0.5 * start.tau_coulomb, 1e-9),
-            *(2 * [0.01 * torque]),
-            USUAL_LATE,
-        ]
-    )
+    scale = np.array([
+        0.3 * start.J, max(0.5 * start.b, 1e-9), max(0.5 * start.tau_coulomb, 1e-9), *(2 * [0.01 * torque]), USUAL_LATE,
+    ])  # fmt: skip
     at = x
     for _ in range(2):
         rms = [max(float(np.sqrt(np.mean((y - A @ at) ** 2))), 1e-12) for A, y in blocks]
@@ -91,7 +84,7 @@ def shaft(stretches: Sequence[Stretch], start: Start, found: Winding, n_p: int, 
     rest = blocks[0][1] - blocks[0][0] @ at
     shape = spread(equations, told, (np.abs(A[:, 1]), A[:, 1]))
     loaded, late_as_b = any(s.load is not None for s in used), 1.5 * (n_p * found["psi_f"]) ** 2 / found["L_q"]
-    return Shaft(told, shape, len(rest), float(np.sqrt(np.mean(rest**2))), loaded, late_as_b)
+    return Shaft(told, shape, float(np.sqrt(np.mean(rest**2))), loaded, late_as_b)
 
 
 def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> tuple[Floats, Floats]:
@@ -104,7 +97,7 @@ def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> 
     sin, cos = np.sin(math.pi * share), np.cos(math.pi * share)
     first = 8.0 / 3.0 / m * 4.0 * by_T * sin**3 * cos
     second = 8.0 / 3.0 / m * 4.0 * by_T**2 * (3.0 * sin**2 * cos**2 - sin**4)
-    omega = speed(s.theta, s.T)
+    omega = s.omega
     theta = found.angle(s.theta, omega)
     torque = torques(s, found, n_p, theta) - (0.0 if s.load is None else s.load)
     i_q = (s.current * np.exp(-1j * theta)).imag
@@ -114,7 +107,7 @@ def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> 
     moves = np.array([float(np.abs(omega[k : k + m]).min()) > slow for k in firsts], bool)
     at = firsts[moves][:, None] + np.arange(m)
     if not len(at):
-        return np.zeros((0, len(NAMES))), np.zeros(0)
+        return _none()
     way = s.theta[at] / n_p
     way = way - way[:, :1]
     columns = [
@@ -122,6 +115,11 @@ def _rows(s: Stretch, found: Winding, n_p: int, seconds: float, slow: float) -> 
         -np.sin(12.0 * theta[at]) @ phi, -late[at] @ phi,
     ]  # fmt: skip
     return np.stack(columns, 1), torque[at] @ phi
+
+
+def _none() -> tuple[Floats, Floats]:
+    """No equations."""
+    return np.zeros((0, len(NAMES))), np.zeros(0)
 
 
 def torques(s: Stretch, found: Winding, n_p: int, theta: Floats) -> Floats:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 from bench.commission.quantity import Quantity
+from protocol.text import printable
 
 Number = float | int | list[float]
 DIGITS = 7
@@ -31,6 +33,28 @@ class Value:
         return f"{unit}95 %: +- {widths}{absolute}"
 
 
+def single(key: str, unit: str, value: float, parts: Mapping[str, float], powers: Sequence[float] = ()) -> Value:
+    """One number; `powers`: those with which volts and amperes enter."""
+    return Value(key, value, (Quantity(key, unit, value, parts, *powers),))
+
+
+def several(
+    key: str, unit: str, values: Iterable[float], parts: Iterable[Mapping[str, float] | None],
+    powers: Sequence[float] = (), names: Sequence[str] = (),
+) -> Value:  # fmt: skip
+    """A list; `parts`: of each number, None of one that was not told.
+
+    `names`: by which its quantities are told apart; 1, 2, … where there are none.
+    """
+    numbers = [float(value) for value in values]
+    told = tuple(
+        Quantity(f"{key}[{name}]", unit, value, of, *powers)
+        for name, value, of in zip(names or count(1), numbers, parts, strict=False)
+        if of is not None
+    )
+    return Value(key, numbers, told)
+
+
 def as_json(told: Sequence[Quantity]) -> list[dict[str, Any]]:
     """Plain data."""
     return [
@@ -47,17 +71,15 @@ def toml(values: Mapping[str, Number], comments: Mapping[str, str], head: Sequen
     sections: dict[str, list[str]] = {}
     for key, value in values.items():
         section, _, name = key.rpartition(".")
-        told = [f"{one:.{DIGITS}g}" for one in value] if isinstance(value, list) else None
-        written = (
-            f"[{', '.join(told)}]"
-            if told is not None
-            else str(value)
-            if isinstance(value, int)
-            else f"{value:.{DIGITS}g}"
-        )
         comment = f" # {comments[key]}" if key in comments else ""
-        sections.setdefault(section, []).append(f"{name} = {written}{comment}")
-    lines = [f"# {line}".rstrip() for line in head]
+        sections.setdefault(section, []).append(f"{name} = {_written(value)}{comment}")
+    lines = [f"# {printable(line)}" for line in head]
     for section, rows in sections.items():
         lines += ["", f"[{section}]", *rows]
     return "\n".join(lines) + "\n"
+
+
+def _written(value: Number) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_written, value))}]"
+    return str(value) if isinstance(value, int) else f"{value:.{DIGITS}g}"

@@ -18,6 +18,7 @@ import numpy as np
 from bench.commission.window import Booleans, Complexes, Floats, Integers, clarke
 from bench.twin.directions import Equations, Told, solved, spread
 from bench.twin.samples import Stretch
+from sim.legs import FADE
 
 SPAN = 1e-3
 """s from one end of a window to the other, about."""
@@ -26,8 +27,6 @@ STEPS = 10
 ORDERS = (5, 7, 11, 13)
 SIGNS = (-1, 1, -1, 1)
 """Of the harmonics of the flux: it turns that way."""
-FADE = 0.8448
-"""V s/s: below this by inductance and PWM frequency, A, a leg's loss fades, as the drive's compensation does."""
 PHASES = np.exp(2j * math.pi / 3.0 * np.arange(3)) * 2.0 / 3.0
 NAMES = (
     "R_s", "L_q", "L_d", "psi_f", "dead_time", "encoder_zero", "encoder_delay",
@@ -63,7 +62,6 @@ class Winding:
     """Of each, sd: what it differs by between slow and fast, small and large currents, beyond noise."""
     offset: Floats
     """A, (3,): of the current sensors."""
-    windows: int
     residual: float
     """V rms, mean over a window."""
 
@@ -136,7 +134,7 @@ def winding(stretches: Sequence[Stretch], start: Start, offset: Floats, noise: f
     x[7:11] /= psi
     found = replace(told, x=x, sd=sd)
     residual = float(np.sqrt(np.mean(told.residuals**2) * 2.0)) / SPAN
-    return Winding(found, shape, offset, len(told.residuals) // 2, residual)
+    return Winding(found, shape, offset, residual)
 
 
 def _rows(s: Stretch, x: Floats, ratio: float, offset: Floats) -> tuple[Floats, Floats, Floats]:
@@ -149,7 +147,7 @@ def _rows(s: Stretch, x: Floats, ratio: float, offset: Floats) -> tuple[Floats, 
     gains = np.array([x[GAIN_A], x[GAIN_B], -x[GAIN_A] - x[GAIN_B]])
     phases = (s.i - offset[:, None]) / (1.0 + gains[:, None])
     i = clarke(phases)
-    omega = speed(s.theta, T)
+    omega = s.omega
     theta = s.theta - x[ZERO] + x[DELAY] * omega
     turned = np.exp(1j * theta)
     i_dq = i / turned
@@ -203,14 +201,6 @@ def _held(on: Booleans, m: int) -> Integers:
     off = np.concatenate([[0], np.cumsum(~on)])
     held: Integers = firsts[off[firsts + m + 1] == off[firsts - 4]]
     return held
-
-
-def speed(theta: Floats, T: float) -> Floats:
-    """Electrical rad/s, (n,): over 1 ms to either side."""
-    half = max(1, round(1e-3 / T))
-    at = np.arange(len(theta))
-    a, b = np.maximum(at - half, 0), np.minimum(at + half, len(theta) - 1)
-    return np.asarray((theta[b] - theta[a]) / ((b - a) * T))
 
 
 def _legs(phases: Floats, fade: float) -> Complexes:

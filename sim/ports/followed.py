@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 from protocol.descriptor import Channel
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import Signal
-from sim.config.params import ConfigError, load_params
+from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
 from sim.plant import hall_sensor
-
-__all__ = ["Asked", "ConfigError", "Follower", "pole_pair_means"]
 
 LEAST_LOAD = 1e-6  # N m, below which the load machine is taken to be off
 
@@ -50,15 +48,16 @@ class Asked(NamedTuple):
 class Follower:
     """A drive with the figures of a configuration file, at rest; `channels` are what is wanted of it.
 
-    Raises ConfigError.
+    `theta`: electrical rad, where its encoder has the rotor, less the firmware's `encoder_zero`; None: where the
+    configuration has the rotor. Raises ConfigError.
     """
 
-    def __init__(
-        self, config: Path, theta_deg: float | None, seed: int, channels: tuple[Channel | Signal, ...]
-    ) -> None:
-        params = load_params(config, {} if theta_deg is None else {"mechanics.theta_0_deg": theta_deg})
+    def __init__(self, config: Path, theta: float | None, seed: int, channels: tuple[Channel | Signal, ...]) -> None:
+        params = load_params(config)
+        if theta is not None:
+            theta_0_deg = math.remainder(math.degrees(theta) - params.encoder.offset_deg, 360.0)
+            params = params.replace(mechanics=params.mechanics.replace(theta_0_deg=theta_0_deg))
         self.pwm_hz = params.clock.pwm_hz
-        self.encoder_deg = params.encoder.offset_deg
         self._bench = SimulatedBench(params, seed)
         self._channels = channels
         self._bench.watch(frozenset(channel.name for channel in channels))
@@ -71,25 +70,17 @@ class Follower:
         """What its firmware has switched off for; empty as long as it has not."""
         return str(self._bench.faults.name) if self._bench.faults else ""
 
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Of its firmware, by name."""
-        return self._bench.parameters
-
     def set(self, name: str, value: float) -> None:
         """A parameter of its firmware; one that it does not have is left alone."""
         if name in self._bench.parameters and self._bench.parameters[name] != np.float32(value):
             self._bench.set_param(name, value)
 
-    def follow(self, asked: Sequence[Asked]) -> NDArray[np.void]:
-        """Raw samples of the channels over all their periods; zero for a channel that it does not have."""
-        parts = []
-        for one in asked:
-            self._ask(one)
-            recorded = self._bench.advance(one.periods)
-            self.edges += len(recorded.edges)
-            parts.append(recorded.raw(self._channels))
-        return np.concatenate(parts)
+    def follow(self, asked: Asked) -> NDArray[np.void]:
+        """Raw samples of the channels over its periods; zero for a channel that it does not have."""
+        self._ask(asked)
+        recorded = self._bench.advance(asked.periods)
+        self.edges += len(recorded.edges)
+        return recorded.raw(self._channels)
 
     def _ask(self, one: Asked) -> None:
         bench, before = self._bench, self._asked
@@ -98,10 +89,7 @@ class Follower:
         if one.state != before.state:
             bench.enter_state(DriveState(one.state))
         if one.mode and (one.state != before.state or one[2:5] != before[2:5]):
-            if one.mode == SetpointMode.SPEED:
-                bench.setpoint(SetpointMode.SPEED, one.value, one.i_d)
-            else:
-                bench.setpoint(SetpointMode(one.mode), one.value, one.i_d)
+            bench.setpoint(SetpointMode(one.mode), one.value, one.i_d)
         if one.load != before.load:
             if (abs(one.load) > LEAST_LOAD) != (abs(before.load) > LEAST_LOAD):
                 bench.load_enter_state(DriveState.RUNNING if abs(one.load) > LEAST_LOAD else DriveState.IDLE)

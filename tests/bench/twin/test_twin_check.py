@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,9 @@ import pytest
 import bench
 from bench.cli import main
 from bench.errors import BenchError
+from bench.record.reader import captures
 from bench.record.recording import run_of
+from bench.signal.chunks import part
 from bench.twin.check import check
 from bench.twin.commands import asked
 from protocol.messages import DriveState, SetpointMode
@@ -61,6 +65,42 @@ def test_a_recording_that_begins_while_the_motor_turns_finds_its_twin_turning(tm
     assert abs(found["omega_enc, rms"].relative) < 1e-3
     assert abs(found["i_q, rms"].relative) < 0.03
     assert found.edges[0] == pytest.approx(found.edges[1], abs=2)
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.5, -2.0])
+def test_a_twin_begins_where_the_encoder_has_the_rotor_whatever_zero_the_firmware_adds(
+    tmp_path: Path, zero: float
+) -> None:
+    """At rest an estimate is that of a sector, and its error tells where in the sector the rotor is."""
+    with bench.connect("sim", config={"firmware": {"encoder_zero": zero}, "mechanics": {"theta_0_deg": -77.0}}) as rig:
+        idle = rig.record(0.1)
+    (tmp_path / "twin.toml").write_text(f"[firmware]\nencoder_zero = {zero}\n")
+    _, recorded, twin = check(run_of(idle), tmp_path / "twin.toml", repeats=1).traces["theta_avg"]
+    np.testing.assert_allclose(twin, recorded, atol=0.3)
+
+
+def test_figures_are_the_same_however_a_recording_is_cut(tmp_path: Path, same: Path, monkeypatch) -> None:
+    """Also where a parameter changes between the last sample of a piece and the first of the next."""
+    with bench.connect("sim", seed=3, save=tmp_path / "a.run") as rig:
+        rig.wait(0.1)
+        rig.drive.start("encoder")
+        rig.drive.speed(rpm=600)
+        for gain in (0.1, 0.05, 0.2):
+            rig.wait(0.2)
+            rig.drive.set("k_p_speed", gain)
+            rig.drive.observe("vector-tracking")
+            rig.drive.speed(rpm=3000 * gain)
+        rig.wait(0.3)
+    run = run_of(tmp_path / "a.run")
+    (whole,) = captures(run)
+    rows = check(run, same, seed=4, repeats=1).rows
+    cuts = [int(np.searchsorted(whole.samples.tick, change.tick, "right")) for change in run.parameters.changes]
+    ends = [0, *sorted({cut for cut in cuts if 0 < cut < len(whole)}), len(whole)]
+    assert len(ends) > 4
+    pieces = [replace(whole, samples=part(whole.samples, *both)) for both in pairwise(ends)]
+    monkeypatch.setattr("bench.twin.check.captures", lambda _: iter(pieces))
+    cut = check(run, same, seed=4, repeats=1).rows
+    assert {row.name: row.difference.b for row in cut} == pytest.approx({row.name: row.difference.b for row in rows})
 
 
 def test_what_was_asked_for_is_read_from_what_was_streamed() -> None:

@@ -12,11 +12,14 @@ from twin_drives import drawn, reversal, steps
 
 import bench
 from bench.errors import BenchError
+from bench.record.reader import captures
 from bench.record.recording import run_of
+from bench.signal.position import wrap
 from bench.twin.check import Checked, check
 from bench.twin.directions import Equations, solved
 from bench.twin.fit import Twin, fit
-from sim.config.params import load_params
+from bench.twin.samples import stretches
+from sim.config.params import ConfigError, load_params
 from tests.choice import sampled
 
 PAPER = 0
@@ -122,8 +125,32 @@ def test_a_recording_at_standstill_tells_no_inertia_and_says_so(tmp_path: Path) 
     assert twin.values["motor.psi_f"] == np.float32(drive.config["firmware"]["psi_f_hat"])
 
 
+def test_a_motor_that_is_faster_than_the_pwm_gets_shorter_integration_steps(tmp_path: Path) -> None:
+    config = {"motor": {"R_s": 1.2, "L_d": 6e-5, "L_q": 6e-5}, "clock": {"substeps": 3}}
+    with bench.connect("sim", config=config, save=tmp_path / "rest.run") as rig:
+        rig.wait(0.2)
+        rig.drive.start("encoder")
+        for i_d in (0.5, 1.5, -1.0, 2.0):
+            rig.drive.current(0.0, i_d)
+            rig.wait(0.2)
+    twin = fit([run_of(tmp_path / "rest.run")])
+    (tmp_path / "twin.toml").write_text(twin.toml())
+    params = load_params(tmp_path / "twin.toml")
+    assert params.motor.R_s == pytest.approx(1.2, rel=0.02)
+    assert params.clock.substeps >= 2
+
+
+def test_what_a_drive_has_learned_of_its_dead_time_is_not_taken_for_the_dead_time(tmp_path: Path) -> None:
+    drive = drawn(PAPER, **{"firmware.dead_time.dead_time_learn": 1})
+    twin = fit([run_of(steps(drive, tmp_path / "learned.run"))])
+    assert "inverter.dead_time" not in {one.name for one in twin.quantities}
+    assert twin.values["inverter.dead_time"] == pytest.approx(drive.config["firmware"]["dead_time"]["dead_time_hat"])
+    assert any(words.startswith("dead_time: the drive has learned") for words in twin.untold)
+    assert twin["motor.psi_f"].covers(drive.truth["motor.psi_f"])
+
+
 def test_edges_are_told_where_voltages_were_not_recorded(tmp_path: Path) -> None:
-    drive = drawn(PAPER)
+    drive = drawn(PAPER, **{"firmware.encoder_zero": 0.4})
     run = run_of(steps(drive, tmp_path / "few.run", channels="hall,theta_enc,i_a,i_b"))
     twin = fit([run])
     assert {one.name.partition(".")[0] for one in twin.quantities} == {"hall"}
@@ -133,11 +160,34 @@ def test_edges_are_told_where_voltages_were_not_recorded(tmp_path: Path) -> None
     assert twin["hall.offset_deg"].value == pytest.approx(offset, abs=0.1)
 
 
+def test_the_angle_that_is_fitted_is_the_encoders_whatever_zero_the_drive_adds_meanwhile(tmp_path: Path) -> None:
+    with bench.connect("sim", channels="hall,theta_enc,+theta_true", save=tmp_path / "zero.run") as rig:
+        rig.load.speed(rpm=60)
+        for zero in (0.0, 0.5, -2.0):
+            rig.drive.set("encoder_zero", zero)
+            rig.wait(0.2)
+    run = run_of(tmp_path / "zero.run")
+    pieces = list(stretches(run))
+    true = np.concatenate([capture["theta_true"] for capture in captures(run)])
+    assert len(pieces) >= 3
+    theta = np.concatenate([piece.theta for piece in pieces if piece.theta is not None])
+    assert len(theta) == len(true)
+    assert np.abs(wrap(theta - true)).max() < 0.01
+
+
 def test_nothing_to_fit_is_an_error_that_says_why(tmp_path: Path) -> None:
     with bench.connect("sim", save=tmp_path / "idle.run", channels="i_a,i_b") as rig:
         rig.wait(0.3)
     with pytest.raises(BenchError, match=r"idle\.run: nothing can be fitted: .*no voltages"):
         fit([run_of(tmp_path / "idle.run")])
+
+
+def test_a_configuration_that_is_none_is_named(tmp_path: Path) -> None:
+    (tmp_path / "other.toml").write_text("[motor]\nR_s = -1\n")
+    with bench.connect("sim") as rig:
+        idle = rig.record(0.1)
+    with pytest.raises(ConfigError, match=r"motor\.R_s in .*other\.toml"):
+        fit([run_of(idle)], tmp_path / "other.toml")
 
 
 # -- directions -----------------------------------------------------------------------------------------------------
@@ -196,7 +246,8 @@ def test_noise_in_what_is_known_makes_nothing_smaller_and_is_no_information(seed
 @pytest.mark.long("records five seconds of a drive, fits and follows them")
 def test_an_encoder_may_stand_at_any_angle_and_run_backwards(tmp_path: Path) -> None:
     """The control goes by the Hall sensors, whose wires are exchanged and inverted as the firmware knows."""
-    wires = {"firmware.hall_swap_hat": 4, "firmware.hall_invert_hat": 2, "firmware.encoder_reverse": 1}
+    wires = {"firmware.hall_swap_hat": 4, "firmware.hall_invert_hat": 2, "firmware.encoder_reverse": 1,
+             "firmware.encoder_zero": -0.7}  # fmt: skip
     drive = drawn(PAPER, **wires, **{
         "encoder.offset_deg": 155.0, "wiring.hall_swap": 4, "wiring.hall_invert": 2, "faults.encoder.reversed": 1,
     })  # fmt: skip
