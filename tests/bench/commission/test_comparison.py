@@ -190,6 +190,9 @@ def test_two_files_are_compared_without_a_drive(tmp_path: Path) -> None:
     assert "more than twice" in ended.output
     ended = invoked("--compare", old, "--compare", new, "--report", tmp_path / "report")
     assert "-o and --report have nothing to write" in ended.output
+    ended = invoked("sim", "--compare", old, "--json", old, "--overwrite")
+    assert ended.exit_code == 2
+    assert "is also an input" in ended.output
     assert "cannot be read" in str(invoked("sim", "--compare", tmp_path / "none.json").exception)
 
 
