@@ -147,12 +147,12 @@ def command(
     given["before"] = before[0] if before else None
     given["config"] = simulated_figures(target, given["config"])
     given["steps"] = given["steps"] or None
-    evidence = {} if report is None or not report.is_dir() else _evidence(report)
-    check_files(files | evidence, overwrite, [given["config"]], recordings=evidence.keys())
     from bench.cli.output import Progress
-    from bench.commission.command import REPORT, Options, commission
+    from bench.commission.command import REPORT, RUN_NAME, Options, commission
     from bench.commission.meters import Ammeter
 
+    run = report / RUN_NAME if report is not None and report.is_dir() else None
+    check_files(files | {"--report": run}, overwrite, [given["config"], *compare], recordings=["--report"])
     with Progress() as screen:
         confirm = screen.confirm if sys.stdin.isatty() else None
         if given["ammeter"] is not None:
@@ -202,13 +202,6 @@ def _typed(screen: Progress, words: str) -> float:
     number: float = click.prompt(words, type=Number(), err=True)
     screen.resume()
     return number
-
-
-def _evidence(report: Path) -> dict[str, Path]:
-    """What stands for all of a report: its recording, whose name no other program writes."""
-    from bench.commission.command import RUN_NAME
-
-    return {"--report": report / RUN_NAME}
 
 
 def _print(done: Commissioned) -> None:

@@ -19,7 +19,7 @@ from bench.commission.sequence import Step, chosen
 from bench.commission.stand import NEED, Stand, channels
 from bench.commission.steps import turn
 from bench.errors import BenchError
-from bench.files import RUN, check_directory, check_output, finite, write
+from bench.files import RUN, check_directory, check_output, write
 from bench.param import history
 from bench.param.sources import of_node
 from bench.rig.connection import SIM, open_target
@@ -106,6 +106,7 @@ def commission(
         began = rig.tick()
         stand = Stand(rig, i_max, options.voltmeter, options.ammeter)
         stand.pole_pairs, stand.by_hand = options.pole_pairs, ask is not None and not agreed
+        done.outcomes = stand.outcomes
         missing: set[str] = set()
         for step in steps:
             if missing & set(step.needs) or rig.drive.faults or rig.drive.ran_away:
@@ -181,7 +182,7 @@ def _take(rig: Rig, stand: Stand, step: Step, done: Commissioned, written: Calla
     """Take one step, and whether it has found what it is for."""
     first = rig.tick() / rig.recorder.tick_hz
     try:
-        done.outcomes[step.name] = outcome = step.perform(stand)
+        outcome = step.perform(stand)
         for refused in outcome.refused:
             done.refuse(refused)
         verdict = Verdict.PASS
@@ -206,7 +207,7 @@ def _write(report: Path | None, step: Step, outcome: Outcome) -> None:
 
 
 def _dump(path: Path, data: object) -> None:
-    write(path, json.dumps(finite(data), indent=1, allow_nan=False) + "\n", str(path))
+    write(path, json.dumps(data, indent=1, allow_nan=False) + "\n", str(path))
 
 
 def _in(report: Path | None, name: str) -> Path | None:

@@ -7,10 +7,11 @@ from typing import Any
 
 from bench.commission.comparison import Comparison
 from bench.commission.outcome import Outcome, found_by
-from bench.commission.parameters import toml
+from bench.commission.parameters import loadable
 from bench.commission.quantity import USUAL, Converters, Quantity
 from bench.commission.refusal import Refused
 from bench.files import finite
+from bench.param import dump, history
 from bench.param.table import Parameters
 
 
@@ -53,9 +54,14 @@ class Commissioned:
         before = self.refused.get(refused.step)
         self.refused[refused.step] = refused.reason if before is None else f"{before}; {refused.reason}"
 
+    def loadable(self) -> tuple[Parameters, list[str]]:
+        """See `bench.commission.parameters.loadable`."""
+        return loadable(self.found, self.settings, self.drive, self.converters)
+
     def as_toml(self) -> tuple[str, list[str]]:
-        """See `bench.commission.parameters.toml`."""
-        return toml(self.found, self.settings, self.drive, self.converters)
+        """A dump of what the drive takes, and what it does not take, in words."""
+        told, left = self.loadable()
+        return dump.text(told, history.now(), history.who(), "found by bench commission"), left
 
     def as_json(self) -> dict[str, Any]:
         """Plain data, SI units."""
@@ -81,5 +87,6 @@ class Commissioned:
             "settings": self.settings,
             "refused": dict(self.refused),
             "remarks": self.remarks,
+            **({} if self.comparison is None else {"comparison": self.comparison.as_json()}),
         })  # fmt: skip
         return told

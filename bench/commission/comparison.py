@@ -29,9 +29,11 @@ SURE = 1.5
 ALIKE = 0.01
 """By which agreed currents may differ for inductances beside a current to be the same quantity."""
 SECTORS = tuple(f"edge_{way}_{sector}" for way in ("up", "down") for sector in range(1, 7))
+INDUCTANCES = ("L_d", "L_q", "L_d_half", "L_q_half")
+SHAFT = ("J", "b", "tau_c")
 NAMES = (
-    "R_s", "L_d", "L_q", "L_d_half", "L_q_half", "t_dead", "n_p", "encoder_zero", "psi_f", "J", "b", "tau_c",
-    "hall_offset", "hall_delay", *SECTORS,
+    "R_s", *INDUCTANCES, "t_dead", "n_p", "encoder_zero", "psi_f", *SHAFT, "hall_offset", "hall_delay",
+    *SECTORS,
 )  # fmt: skip
 
 
@@ -71,13 +73,24 @@ class Change:
         return self.share - self.width / abs(self.old), self.share + self.width / abs(self.old)
 
     @property
+    def title(self) -> str:
+        """What it is called."""
+        return TITLES.get(self.name, self.name.replace("_", " "))
+
+    @property
+    def moved(self) -> str:
+        """By how much, in words."""
+        return told(self.by, self.unit, 2) if self.unit == "rad" or not self.old else f"{100.0 * self.share:+.2g} %"
+
+    @property
     def row(self) -> list[str]:
         """In words: title, old, new, change, and whether that is beyond both intervals."""
-        title = TITLES.get(self.name, self.name.replace("_", " "))
-        by = told(self.by, self.unit, 2) if self.unit == "rad" or not self.old else f"{100.0 * self.share:+.2g} %"
-        return [title, told(self.old, self.unit), told(self.new, self.unit), by, "yes" if self.beyond else "no"]
+        old, new = (told(value, self.unit) for value in (self.old, self.new))
+        return [self.title, old, new, self.moved, "yes" if self.beyond else "no"]
 
 
+OWN, ABSOLUTE = ("value", "half_width"), ("absolute", "absolute_half_width")
+"""Keys of a quantity in such a file; each may be null."""
 COLUMNS = ["quantity", "old", "new", "change", "beyond both intervals"]
 
 
@@ -110,7 +123,7 @@ def read(path: Path) -> dict[str, Any]:
     try:
         data = json.loads(path.read_text("utf-8"))
         for each in data["quantities"].values():
-            float(each["value"]), float(each["half_width"]), str(each["unit"])
+            str(each["unit"]), [float(each[key] or 0.0) for key in (*OWN, *ABSOLUTE)]
         data["drive"].get("serial")
     except OSError as error:
         raise BenchError(f"{path} cannot be read: {error.strerror}") from None
@@ -126,7 +139,7 @@ def compared(old: Mapping[str, Any], new: Mapping[str, Any]) -> Comparison:
     """Compare two of them, see `read`."""
     serials = [data["drive"].get("serial") for data in (old, new)]
     same = serials[0] == serials[1]
-    value, width = ("value", "half_width") if same else ("absolute", "absolute_half_width")
+    value, width = OWN if same else ABSOLUTE
     left = [] if same else ["another drive, whose volts and amperes are its own: absolute values are compared"]
     currents = [float(data.get("current") or math.nan) for data in (old, new)]
     halves = abs(currents[0] - currents[1]) <= ALIKE * currents[0]
@@ -134,11 +147,8 @@ def compared(old: Mapping[str, Any], new: Mapping[str, Any]) -> Comparison:
     for name in NAMES:
         if not halves and name.endswith("_half"):
             continue
-        pair = [data["quantities"].get(name) for data in (old, new)]
-        if None in pair:
-            continue
-        a, b = ({**each, "absolute": each.get("absolute", each["value"])} for each in pair)
-        if a[value] is not None and b[value] is not None and a[width] is not None and b[width] is not None:
+        a, b = (data["quantities"].get(name, {}) for data in (old, new))
+        if None not in (a.get(value), b.get(value), a.get(width), b.get(width)):
             changes[name] = Change(name, a["unit"], float(a[value]), float(b[value]), float(a[width] + b[width]))
     return Comparison(changes, (*left, *meanings(changes)), str(old.get("about", {}).get("started", "")))
 
@@ -150,20 +160,18 @@ def meanings(changes: Mapping[str, Change]) -> list[str]:
     sure = {name: each for name, each in changes.items() if each.sure}
     if "n_p" in sure and round(sure["n_p"].new) != round(sure["n_p"].old):
         return [f"{sure['n_p'].new:.0f} pole pairs, and {sure['n_p'].old:.0f} before: it is another motor"]
-    told = [*_electrical(changes), *_power_stage(sure), *_shaft(sure), *_places(sure)]
-    barely = [each.row[0] for name, each in changes.items() if each.beyond and name not in sure]
+    gain, explained = _converters(changes)
+    shaft = {name: each for name, each in sure.items() if name not in explained}
+    told = [*([gain] if gain else _electrical(changes)), *_power_stage(sure), *_shaft(shaft), *_places(sure)]
+    barely = [each.title for name, each in changes.items() if each.beyond and name not in sure]
     if barely:
         told.append(f"beyond both intervals, but barely: {', '.join(barely)}; measure again to be sure")
     return told or ["nothing has changed beyond both intervals"]
 
 
 def _electrical(changes: Mapping[str, Change]) -> list[str]:
-    """Of resistance, flux and inductances, which one cause may change together."""
+    """Of resistance, flux and inductances, where no converter explains them."""
     R, psi = (changes.get(name) for name in ("R_s", "psi_f"))
-    inductances = [changes[name] for name in ("L_d_half", "L_q_half", "L_d", "L_q") if name in changes]
-    moved = [each for each in inductances if each.sure]
-    if gain := _converters(R, psi, moved, inductances):
-        return [gain]
     told = []
     if R is not None and psi is not None and R.sure and psi.sure:
         told.append(_warmth(R, psi))
@@ -171,38 +179,58 @@ def _electrical(changes: Mapping[str, Change]) -> list[str]:
         told.append(_resistance(R, psi))
     elif psi is not None and psi.sure:
         told.append(_flux(psi, R))
-    if moved:
-        named = ", ".join(f"{each.row[0]} {each.row[3]}" for each in moved)
-        told.append(f"{named}: warmth does not change inductances; turns that are shorted, or another motor, would")
+    if moved := [changes[name] for name in INDUCTANCES if name in changes and changes[name].sure]:
+        words = "warmth does not change inductances; turns that are shorted, or another motor, would"
+        told.append(f"{_named(moved)}: {words}")
     return told
 
 
-def _converters(R: Change | None, psi: Change | None, moved: Sequence[Change], inductances: Sequence[Change]) -> str:
-    """Whether all inductances have moved as R has, and the flux too, or not at all; empty for no."""
-    if R is None or psi is None or not R.sure or not moved or len(moved) < len(inductances):
-        return ""
-    if not all(_overlap(R, each) for each in moved):
-        return ""
-    if psi.sure and _overlap(R, psi):
-        return (
-            f"resistance, inductances and flux have all changed by {100.0 * R.share:+.2g} %, as if the drive measured "
-            "its DC link by another gain: compare it with a voltmeter (--voltmeter)"
+def _converters(changes: Mapping[str, Change]) -> tuple[str, set[str]]:
+    """Which gain explains that all inductances have moved as R has, and the flux too, or not at all; empty for none.
+
+    With the names, among those of the shaft, that have moved as the torque does by that gain.
+    """
+    R, psi = (changes.get(name) for name in ("R_s", "psi_f"))
+    moved = [changes[name] for name in INDUCTANCES if name in changes]
+    if R is None or psi is None or not R.sure or not moved:
+        return "", set()
+    if not all(each.sure and _overlap(R.span, each.span) for each in moved):
+        return "", set()
+    if psi.sure and _overlap(R.span, psi.span):
+        torque = R.span
+        words = (
+            f"resistance, inductances and flux have all changed by {R.moved}, as if the drive measured its DC link by "
+            "another gain: compare it with a voltmeter (--voltmeter)"
         )
-    if not psi.beyond:
-        return (
-            f"resistance and inductances have changed by {100.0 * R.share:+.2g} % and the flux has not, as if the "
-            "drive measured its currents by another gain: compare them with an ammeter (--ammeter)"
+    elif not psi.beyond:
+        least, most = R.span
+        torque = 1.0 / (1.0 + most) - 1.0, 1.0 / (1.0 + least) - 1.0
+        words = (
+            f"resistance and inductances have changed by {R.moved} and the flux has not, as if the drive measured its "
+            "currents by another gain: compare them with an ammeter (--ammeter)"
         )
-    return ""
+    else:
+        return "", set()
+    return words, {name for name in SHAFT if name in changes and _overlap(torque, changes[name].span)}
 
 
-def _overlap(one: Change, other: Change) -> bool:
-    return one.span[0] <= other.span[1] and other.span[0] <= one.span[1]
+def _named(changes: Sequence[Change]) -> str:
+    return ", ".join(f"{each.title} {each.moved}" for each in changes)
+
+
+def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    return one[0] <= other[1] and other[0] <= one[1]
+
+
+def _beside(other: Change | None, name: str) -> str:
+    if other is None:
+        return f"; the {name} was not compared"
+    return f", and the {name} has {'barely' if other.beyond else 'not'} changed"
 
 
 def _warmth(R: Change, psi: Change) -> str:
     kelvin = R.share / COPPER
-    both = f"resistance {100.0 * R.share:+.2g} %, flux {100.0 * psi.share:+.2g} %"
+    both = f"resistance {R.moved}, flux {psi.moved}"
     if R.sure == psi.sure:
         return f"{both}: no single cause that is known does both; cannot tell"
     if R.sure < 0:
@@ -218,35 +246,31 @@ def _warmth(R: Change, psi: Change) -> str:
 
 def _resistance(R: Change, psi: Change | None) -> str:
     kelvin = R.share / COPPER
-    beside = "; the flux was not compared" if psi is None else ", and the flux has not changed"
+    told = f"resistance {R.moved}{_beside(psi, 'flux')}"
     if R.sure < 0:
-        words = f"the winding is {-kelvin:.0f} K colder, or its wires are shorter"
-        return f"resistance {100.0 * R.share:+.2g} %{beside}: {words}"
+        return f"{told}: the winding is {-kelvin:.0f} K colder, or its wires are shorter"
     if kelvin > HOTTEST:
-        return (
-            f"resistance {100.0 * R.share:+.2g} %{beside}: more than warmth does; look for a contact, a wire or a "
-            "crimp that resists"
-        )
+        return f"{told}: more than warmth does; look for a contact, a wire or a crimp that resists"
     return (
-        f"resistance {100.0 * R.share:+.2g} %{beside}: a winding that is {kelvin:.0f} K warmer, or a contact or wires "
-        "that resist; measure again when all of it is cold"
+        f"{told}: a winding that is {kelvin:.0f} K warmer, or a contact or wires that resist; measure again when all "
+        "of it is cold"
     )
 
 
 def _flux(psi: Change, R: Change | None) -> str:
-    beside = "; the resistance was not compared" if R is None else ", and the resistance has not changed"
+    told = f"flux {psi.moved}{_beside(R, 'resistance')}"
     if psi.sure > 0:
-        return f"flux {100.0 * psi.share:+.2g} %{beside}: magnets that were warm then, or another motor; cannot tell"
+        return f"{told}: magnets that were warm then, or another motor; cannot tell"
     return (
-        f"flux {100.0 * psi.share:+.2g} %{beside}: the magnets are demagnetised in part, unless they are still warm "
-        "from before; measure again when all of it is cold"
+        f"{told}: the magnets are demagnetised in part, unless they are still warm from before; measure again when all "
+        "of it is cold"
     )
 
 
 def _power_stage(sure: Mapping[str, Change]) -> list[str]:
     if "t_dead" not in sure:
         return []
-    _, old, new, _, _ = sure["t_dead"].row
+    _, old, new, *_ = sure["t_dead"].row
     return [f"dead time {old}, now {new}: another power stage, or another setting of it"]
 
 
@@ -254,15 +278,14 @@ def _shaft(sure: Mapping[str, Change]) -> list[str]:
     told = []
     if "J" in sure:
         words = "something is attached now" if sure["J"].sure > 0 else "something was attached then"
-        told.append(f"inertia {sure['J'].row[3]}: {words}, or another rotor")
+        told.append(f"inertia {sure['J'].moved}: {words}, or another rotor")
     frictions = [sure[name] for name in ("tau_c", "b") if name in sure]
     grown = [each for each in frictions if each.sure > 0]
     if grown:
-        named = ", ".join(f"{each.row[0]} {each.row[3]}" for each in grown)
-        told.append(f"{named}: bearings, a seal, colder grease, or something that drags; turn the shaft by hand")
+        words = "bearings, a seal, colder grease, or something that drags; turn the shaft by hand"
+        told.append(f"{_named(grown)}: {words}")
     elif frictions:
-        named = ", ".join(f"{each.row[0]} {each.row[3]}" for each in frictions)
-        told.append(f"{named}: bearings that have run in, or warmer grease")
+        told.append(f"{_named(frictions)}: bearings that have run in, or warmer grease")
     return told
 
 
@@ -270,16 +293,16 @@ def _places(sure: Mapping[str, Change]) -> list[str]:
     told = []
     if "encoder_zero" in sure:
         told.append(
-            f"encoder's zero by {sure['encoder_zero'].row[3]} (electrical): it has turned on the shaft, or it has no "
+            f"encoder's zero by {sure['encoder_zero'].moved} (electrical): it has turned on the shaft, or it has no "
             "index and counts from where it was switched on"
         )
     edges = [sure[name] for name in SECTORS if name in sure]
     if "hall_offset" in sure:
-        told.append(f"Hall ring by {sure['hall_offset'].row[3]} (electrical): it has slipped, or was put on anew")
+        told.append(f"Hall ring by {sure['hall_offset'].moved} (electrical): it has slipped, or was put on anew")
     elif edges:
         most = max(edges, key=lambda each: abs(each.by))
         told.append(
-            f"{len(edges)} of 12 Hall edges have moved, by {most.row[3]} (electrical) at most, and the ring has not: "
+            f"{len(edges)} of 12 Hall edges have moved, by {most.moved} (electrical) at most, and the ring has not: "
             "a sensor, or where it switches"
         )
     return told

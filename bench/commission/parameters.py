@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from bench.commission.quantity import USUAL, Converters, Quantity
-from bench.param import dump, history
+from bench.commission.quantity import Converters, Quantity
 from bench.param.table import Parameters
 
-REASON = "found by bench commission"
 SAME = {"R_s": "R_s_hat", "t_dead": "dead_time_hat", "psi_f": "psi_f_hat", "J": "J_hat"}
 """Parameters that are a quantity as it was found, by its name."""
 NAMED_ALIKE = (
@@ -29,10 +27,10 @@ def parameters_of(found: Mapping[str, Quantity]) -> dict[str, Quantity]:
     return told
 
 
-def toml(
-    found: Mapping[str, Quantity], settings: Mapping[str, float], of: Parameters, converters: Converters = USUAL
-) -> tuple[str, list[str]]:
-    """A dump of what was found and of `settings`, which follow from it, and what the drive does not take, in words.
+def loadable(
+    found: Mapping[str, Quantity], settings: Mapping[str, float], of: Parameters, converters: Converters
+) -> tuple[Parameters, list[str]]:
+    """What the drive takes of what was found and of `settings`, which follow from it; what it does not take, in words.
 
     `of`: the drive's parameters, which tell names, ranges and meanings.
     """
@@ -51,11 +49,10 @@ def toml(
             continue
         known = f"95 %: {interval(measured[name], converters)}" if name in measured else "by what was found"
         entries[name] = replace(entry, value=value, meaning=known)
-    told = Parameters(of.title, entries, of.identity)
-    return dump.text(told, history.now(), history.who(), REASON), left
+    return Parameters(of.title, entries, of.identity), left
 
 
-def interval(quantity: Quantity, converters: Converters = USUAL) -> str:
+def interval(quantity: Quantity, converters: Converters) -> str:
     """Both intervals in words, for a comment; the absolute value where it is another."""
     by, absolute = quantity.dominated_by, quantity.absolute_value(converters)
     other = f"{absolute:.5g} " if absolute != quantity.value else ""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from bench.commission import words
 from bench.commission.commissioned import Commissioned
 from bench.commission.comparison import COLUMNS
-from bench.commission.parameters import parameters_of
 from bench.commission.quantity import USUAL
-from bench.param.table import same
+from bench.param.differences import compare
 from bench.report.html import embedded, page
 from bench.report.words import NOT_STATED, date
 from bench.signal.verdict import Verdict
@@ -26,6 +24,7 @@ UNTOLD = {"u_dc_max": "the voltage that the drive bears", "i_cont": "the current
 def as_html(folder: Path, done: Commissioned) -> str:
     """The page; the steps' pictures are read from `folder`."""
     titles, rows = words.table(done.found.values(), done.converters)
+    loadable, left = done.loadable()
     look = Verdict.PASS if not done.refused else Verdict.FAIL if not done.found else Verdict.INCOMPLETE
     return page(
         __package__ or "",
@@ -36,7 +35,7 @@ def as_html(folder: Path, done: Commissioned) -> str:
         meaning=_meaning(done, len(rows)),
         about=_about(done),
         refused=list(done.refused.items()),
-        by_hand=by_hand(done),
+        by_hand=[*done.remarks, *left, *_by_hand(done)],
         titles=titles,
         rows=rows,
         comparison=done.comparison,
@@ -46,7 +45,10 @@ def as_html(folder: Path, done: Commissioned) -> str:
              [(key, f"{value:.5g}") for key, value in outcome.evidence.figures.items()])
             for name, outcome in done.outcomes.items() for picture in [folder / f"{name}.png"]
         ],
-        parameters=_parameters(done),
+        parameters=[
+            (each.name, f"{each.a:.5g}", f"{each.b:.5g}", each.unit)
+            for each in compare(done.drive, loadable).values
+        ],
     )  # fmt: skip
 
 
@@ -74,11 +76,10 @@ def _about(done: Commissioned) -> list[tuple[str, str]]:
     ]
 
 
-def by_hand(done: Commissioned) -> list[str]:
-    """What somebody should look at, a sentence each: what was remarked, is not sure, or no measurement tells."""
+def _by_hand(done: Commissioned) -> list[str]:
+    """What somebody should look at, a sentence each: what is not sure, or no measurement tells."""
     found, known, drive = done.found, done.converters, done.drive
-    told = [*done.remarks, *done.as_toml()[1]]
-    told.append(f"{done.i_max:g} A is what was agreed to: compare it with the motor's plate, no measurement tells it")
+    told = [f"{done.i_max:g} A is what was agreed to: compare it with the motor's plate, no measurement tells it"]
     if known.volts == USUAL.volts:
         told.append(
             f"the drive's volts are believed to {100.0 * known.volts:g} % (one standard deviation): compare u_dc with "
@@ -95,15 +96,4 @@ def by_hand(done: Commissioned) -> list[str]:
               for name, meaning in UNTOLD.items() if name in drive]  # fmt: skip
     if untold:
         told.append(f"no measurement tells these limits, which stay as they are: {'; '.join(untold)}")
-    return told
-
-
-def _parameters(done: Commissioned) -> list[tuple[str, str, str, str]]:
-    """Name, before, as found, unit: what loading it would change."""
-    told = []
-    found = {name: quantity.value for name, quantity in parameters_of(done.found).items()}
-    for name, value in {**done.settings, **found}.items():
-        entry: Any = done.drive.entries.get(name)
-        if entry is not None and not same(entry.value, value):
-            told.append((name, f"{entry.value:.5g}", f"{value:.5g}", entry.unit))
     return told

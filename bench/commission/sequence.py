@@ -36,19 +36,19 @@ class Step:
         return outcome
 
 
-STEPS = (
+_AMMETER = Step(ammeter.STEP, (), (resistance.STEP,), True, ammeter.announcement, ammeter.perform)
+_ORDER = (
     Step(offsets.STEP, ("noise",), (), False, offsets.announcement, offsets.perform),
     Step(first_current.STEP, ("first",), (offsets.STEP,), True, first_current.announcement, first_current.perform),
     Step(resistance.STEP, ("r", "dead-time"), (first_current.STEP,), True, resistance.announcement, resistance.perform),
+    _AMMETER,
     Step(inductance.STEP, ("l",), (resistance.STEP,), True, inductance.announcement, inductance.perform),
     Step(turn.STEP, ("dragged-turn",), (inductance.STEP,), True, turn.announcement, turn.perform, turns=True),
     Step(spun.STEP, ("coast",), (turn.STEP,), True, spun.announcement, spun.perform, turns=True, spins=True),
     Step(check.STEP, ("gains",), (inductance.STEP,), True, check.announcement, check.perform),
 )
-"""In their order."""
-
-
-_AMMETER = Step(ammeter.STEP, (), (resistance.STEP,), True, ammeter.announcement, ammeter.perform)
+STEPS = tuple(step for step in _ORDER if step is not _AMMETER)
+"""In their order; beside them there is that which holds a current for an ammeter."""
 
 
 def chosen(names: Iterable[str] | None, with_ammeter: bool = False) -> tuple[Step, ...]:
@@ -56,20 +56,16 @@ def chosen(names: Iterable[str] | None, with_ammeter: bool = False) -> tuple[Ste
 
     `with_ammeter`: also that which holds a current for one, right after the resistance.
     """
-    if with_ammeter:
-        steps = chosen([resistance.STEP, *(step.name for step in chosen(names))])
-        after = steps.index(STEPS[2]) + 1
-        return (*steps[:after], _AMMETER, *steps[after:])
-    if names is None:
-        return STEPS
     known = {name: step for step in STEPS for name in (step.name, *step.aliases)}
     wanted: set[str] = set()
-    for name in names:
+    for name in [step.name for step in STEPS] if names is None else names:
         if name.lower() not in known:
             hint = did_you_mean(name, known, f"there are {', '.join(step.name for step in STEPS)}")
             raise BenchError(f"no step '{name}' of a commissioning: {hint}")
         _add(known[name.lower()], known, wanted)
-    return tuple(step for step in STEPS if step.name in wanted)
+    if with_ammeter:
+        _add(_AMMETER, known, wanted)
+    return tuple(step for step in _ORDER if step.name in wanted)
 
 
 def _add(step: Step, known: dict[str, Step], wanted: set[str]) -> None:

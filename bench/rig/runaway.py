@@ -41,6 +41,7 @@ FEW = 15  # samples of a block that are enough for its median
 MEMORY = 0.2  # s of device time within which a sensor has seen the shaft turn
 PATIENCE = 0.15  # s for which a sensor's word waits for that of one that is silent: on CAN edges come with heartbeats
 A_TURN = math.tau - 0.1  # electrical rad
+KEPT = 5.0  # s of what a sensor has seen: a turn that takes longer is too slow for any limit
 BEYOND = 1.1  # of omega_m_max, a speed at which one sensor's word is enough
 
 
@@ -71,6 +72,8 @@ class _Sensor:
         `clean`: it has not contradicted itself meanwhile.
         """
         self._travel.append((time, gone, clean))
+        while self._travel[0][0] < time - KEPT:
+            self._travel.popleft()
         self.speed = gone / seconds
         self.low, self.high = min(self.low, *aims), max(self.high, *aims)
         bottom, top = self.bounds(margin)

@@ -5,6 +5,7 @@ Speeds are those of the simulated plant itself.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import re
@@ -343,3 +344,23 @@ def test_a_shaft_that_a_current_turns_may_have_so_much_speed_and_no_more(way: fl
                 break
         assert bool(guard.verdict) == seen
         assert ("at most 800 r/min asked for" in guard.verdict) == seen
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize(("share", "seen"), [(0.95, False), (1.1, True)])
+def test_edges_alone_tell_the_speed_of_a_turn_however_they_lie(way: float, share: float, seen: bool) -> None:
+    """Single edges up to a fifth of a sector from their places; what they have told long ago is forgotten."""
+    guard, most = Runaway(6), 900.0 * math.tau / 60.0
+    guard._there, guard.most_free = (guard._hall,), most
+    guard.follow(None)
+    sector = math.pi / 3.0 / (6.0 * share * most)
+    off = np.array([0.0, 0.2, -0.1, 0.15, -0.15, -0.2])
+    times = sector * (np.arange(20_000) + np.tile(off, 4_000)[:20_000])
+    for before, after in itertools.pairwise(times.tolist()):
+        guard.by_edges(after, after - before, np.array([way]))
+        guard.judge(after)
+        if guard.verdict:
+            break
+    assert bool(guard.verdict) == seen
+    assert not seen or f"{way * share * 900.0:.0f} r/min by the Hall sensors" in guard.verdict
+    assert len(guard._hall._travel) < 10.0 / sector

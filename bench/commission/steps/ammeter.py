@@ -53,7 +53,7 @@ def perform(stand: Stand) -> Outcome:
         raise Refused(STEP, f"the ammeter reads 0 A, and {before:.3g} A flow: it is not in phase {asked.phase}")
     gain = stand.found[f"gain_{asked.phase}"]
     own = 0.5 * (before + after) / gain.value
-    scatter = stand.noise / math.sqrt(2.0 * len(windows[0]))
+    scatter = stand.noise * math.sqrt(1.5 / len(windows[0]))  # of two looks, and of that at the offset
     sd = math.hypot(scatter, 0.5 * (after - before), own * gain.sd)
     stand.converters, remarks = by_ammeter(STEP, own, sd, read, stand.converters)
     held = Quantity("i_held", "A", own, {"noise": sd}, amperes=1.0)

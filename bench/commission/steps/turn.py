@@ -112,21 +112,24 @@ def _blind(stand: Stand, outcome: Outcome, turned: Turned, psi: float) -> tuple[
     """
     quantities, refused, settings = [*outcome.quantities], [*outcome.refused], {**outcome.settings}
     remarks, n_p = [*outcome.remarks], stand.pole_pairs
-    try:
-        if turned.hall is not None:
+    if turned.hall is not None:
+        try:
             settings |= (wiring := run_on_halls(stand, turned.hall, psi))
             if any(stand.rig.drive.parameters.get(name, 0.0) != 0.0 for name in wiring):
                 told = ", ".join(f"{name} = {value:g}" for name, value in wiring.items())
                 remarks.append(f"edges are of the Hall sensors as they are wired now, with {told}")
-            if n_p is None and stand.by_hand:
-                quantities.append(ratio := counted_by_hand(stand))
-                n_p = round(ratio.value)
-    except Refused as nothing:
-        refused.append(nothing)
-        turned = turned if nothing.step != "spin" else replace(turned, hall=None)
-    if n_p is None:
+        except Refused as lacking:
+            refused.append(lacking)
+            turned = replace(turned, hall=None)
+    if n_p is None and turned.hall is not None and stand.by_hand:
+        try:
+            quantities.append(ratio := counted_by_hand(stand))
+            n_p = round(ratio.value)
+        except Refused as uncounted:
+            refused.append(uncounted)
+    elif n_p is None:
         refused.append(Refused(STEP, "pole pairs are not claimed: without an encoder name them with --pole-pairs N"))
-    else:
+    if n_p is not None:
         settings["n_p"] = float(n_p)
         stand.set(n_p=float(n_p))
     more = replace(outcome, quantities=tuple(quantities), refused=tuple(refused), remarks=tuple(remarks))

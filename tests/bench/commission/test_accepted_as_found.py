@@ -4,25 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 from drawn_benches import NAMES, made
 from test_commission_drive import all_of, found
 
 from bench.commission.parameters import parameters_of
+from bench.files import leaves
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
 from tests.bench.accept.accepting import accepting_in
-
-
-def flat(config: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Nested tables as settings with dotted names."""
-    told: dict[str, Any] = {}
-    for key, value in config.items():
-        told |= flat(value, f"{before}{key}.") if isinstance(value, Mapping) else {before + key: value}
-    return told
 
 
 @pytest.mark.campaign("commission")
@@ -35,7 +27,7 @@ def test_what_was_found_is_accepted(name: str, tmp_path: Path, monkeypatch: pyte
     values |= {key: value for outcome in outcomes.values() for key, value in outcome.settings.items()}
 
     def opened(config: Path | None, overrides: Mapping[str, float], seed: int) -> VirtualLink:
-        device = SimulatedDevice(load_params(None, {**flat(of.config), **overrides}), seed)
+        device = SimulatedDevice(load_params(None, {**dict(leaves(of.config)), **overrides}), seed)
         app = device.sessions[0].app
         for parameter in app.parameters:
             if parameter.name in values:

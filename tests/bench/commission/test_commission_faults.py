@@ -12,10 +12,9 @@ from typing import Any
 import pytest
 from drawn_benches import PAPER, MadeBench, made
 from plant_watch import PlantWatch
-from test_commission_drive import found, standing
+from test_commission_drive import found, standing, steps_of
 
 from bench.commission.outcome import Outcome
-from bench.commission.refusal import Refused
 from bench.commission.sequence import STEPS
 from bench.device.simulator import motors
 from bench.rig.rig import Rig
@@ -60,14 +59,8 @@ def said_of(of: MadeBench, prepare: Prepare | None = None) -> Said:
         watch = PlantWatch(stand.rig.client.link.device)  # type: ignore[attr-defined]
         if prepare is not None:
             prepare(stand.rig, _rated(of))
-        for step in STEPS:
-            try:
-                told.outcomes[step.name] = outcome = step.perform(stand)
-            except Refused as refused:
-                told.said.append(str(refused))
-                told.ended = step.name
-                break
-            told.said += [*map(str, outcome.refused), *outcome.remarks]
+        told.outcomes, told.said = steps_of(stand)
+        told.ended = next((step.name for step in STEPS if step.name not in told.outcomes), "")
         assert not stand.rig.drive.on
     assert watch.largest <= of.i_max
     assert watch.fastest * 60.0 / math.tau <= of.rpm

@@ -15,8 +15,11 @@ from test_comparison import a_file
 
 from bench.commission.commissioned import Commissioned
 from bench.commission.meters import Reading
+from bench.commission.outcome import Evidence, Outcome
+from bench.commission.quantity import Quantity
 from bench.commission.report import as_html
 from bench.errors import BenchError
+from bench.param.table import ParameterEntry, Parameters
 from tests.bench.accept.page import Page
 from tests.bench.virtual_run import WatchedLink, simulated
 
@@ -38,7 +41,7 @@ def test_one_look_tells_all(tmp_path: Path) -> None:
     assert page.subject["Agreed to"] == "8 A, 3000 r/min"
     assert page.subject["Instruments"] == "a voltmeter that reads 23.7 V, to 0.1 %"
     assert re.match(r"20\d\d-\d\d-\d\d \d\d:\d\d:\d\d UTC", page.subject["Date and time"])
-    (quantity,) = (q for name, q in done.found.items() if name == "R_s")
+    quantity = done.found["R_s"]
     own, absolute = (100.0 * half / value for half, value in (
         (quantity.half_width, quantity.value),
         (quantity.absolute_half_width(done.converters), quantity.absolute_value(done.converters)),
@@ -68,7 +71,7 @@ def test_one_look_tells_all(tmp_path: Path) -> None:
 def test_what_was_refused_stands_before_what_was_found(tmp_path: Path) -> None:
     page, done = reported(tmp_path, {"faults__motor__open": 2}, current_a=8.0)
     assert "phase b carries no current: its wire, its winding or its half bridge is open" in page.text
-    assert "1 quantities" not in page.text
+    assert "Found: 2 quantities. Refused: first-current." in page.text
     assert page.headings[0] == "What was refused"
     assert "IN PART" in page.text
     assert set(done.outcomes) == {"offsets"}
@@ -99,3 +102,15 @@ def test_a_report_without_its_pictures_is_one(tmp_path: Path) -> None:
     done = run_on(WatchedLink(simulated()), steps=("offsets",))
     (tmp_path / "x.html").write_text(as_html(tmp_path, done))
     assert Page(tmp_path / "x.html").sources == []
+
+
+def test_what_the_drive_does_not_take_is_told_and_not_offered(tmp_path: Path) -> None:
+    entries = (ParameterEntry("R_s_hat", 0.1, "Ω", lo=0.0, hi=1.0), ParameterEntry("J_hat", 1e-4, "kg m2"))
+    found = Outcome((Quantity("R_s", "Ω", 2.0), Quantity("J", "kg m2", 2e-4)), Evidence("Both"))
+    done = Commissioned(Parameters("a drive", {each.name: each for each in entries}), 5.0, {"spin": found})
+    (tmp_path / "x.html").write_text(as_html(tmp_path, done))
+    page = Page(tmp_path / "x.html")
+    assert "R_s_hat = 2 Ω is beyond the drive's range, 0 to 1" in page.text
+    assert page.text.count("R_s_hat") == 1
+    assert "1 parameter would change" in page.text
+    assert page.row("J_hat", "0.0001", "0.0002")

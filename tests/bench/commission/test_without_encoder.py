@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from drawn_benches import NAMES, PAPER, MadeBench, drawn, made
-from test_commission_drive import LONGEST, UNSEEN, WITHIN, edge_errors, errors, found, standing
+from drawn_benches import NAMES, PAPER, MadeBench, made
+from test_commission_drive import (
+    LONGEST,
+    UNSEEN,
+    WITHIN,
+    coverage,
+    edge_errors,
+    errors,
+    fastest_of,
+    found,
+    standing,
+    steps_of,
+)
 
 from bench.commission.outcome import Outcome
 from bench.commission.refusal import Refused
@@ -33,20 +43,6 @@ MECHANICAL = {"J", "b", "tau_c"}
 
 def blind(name: str, hard: bool = True, **settings: Any) -> MadeBench:
     return made(name, hard, encoder__present=0, **settings)
-
-
-def steps_of(stand: Stand, n: int = len(STEPS)) -> tuple[dict[str, Outcome], list[str]]:
-    """The first `n` steps, up to one that refuses, and all that is refused and remarked."""
-    outcomes: dict[str, Outcome] = {}
-    said: list[str] = []
-    for step in STEPS[:n]:
-        try:
-            outcomes[step.name] = outcome = step.perform(stand)
-        except Refused as refused:
-            said.append(str(refused))
-            break
-        said += [*map(str, outcome.refused), *outcome.remarks]
-    return outcomes, said
 
 
 @pytest.mark.long("a commissioning from the beginning to the end")
@@ -82,8 +78,8 @@ def test_what_needs_no_pole_pairs_is_told_without_them_and_the_shaft_turns_the_s
     of = blind(name)
     with standing(of, more=["omega_true"]) as stand:
         outcomes, said = steps_of(stand)
-        fastest = float(np.abs(stand.rig.between(0, stand.rig.recorder.newest)["omega_true"]).max())
-    assert fastest < of.rpm * math.tau / 60.0
+        fastest = fastest_of(of, stand) * of.n_p
+    assert fastest < of.rpm
     assert len(said) == 2
     assert "pole pairs are not claimed: without an encoder name them with --pole-pairs N" in said[0]
     assert "inertia and friction are not claimed: they need the pole pairs" in said[1]
@@ -256,10 +252,9 @@ def test_neither_current_nor_speed_is_beyond_what_was_agreed_to(name: str, share
     with standing(of, share=share, fast=fast, more=["omega_true"]) as stand:
         stand.pole_pairs = of.n_p
         outcomes, _ = steps_of(stand)
-        whole = stand.rig.between(0, stand.rig.recorder.newest)
+        whole, fastest = stand.rig.between(0, stand.rig.recorder.newest), fastest_of(of, stand)
     assert "check" in outcomes
     largest = max(float(np.abs(whole[f"i_{phase}"]).max()) for phase in "abc")
-    fastest = float(np.abs(whole["omega_true"]).max()) / of.n_p * 60.0 / math.tau
     assert 0.4 * share * of.i_max < largest < 1.02 * share * of.i_max
     assert 0.4 * fast * of.rpm < fastest < fast * of.rpm
 
@@ -277,12 +272,6 @@ def accelerate(stand: Stand, i_q: float) -> None:
     with stand.running("spin", None):
         stand.current(0.0, i_q)
         stand.wait(3.0)
-
-
-def fastest_of(of: MadeBench, stand: Stand) -> float:
-    """r/min, by the plant."""
-    whole = stand.rig.between(0, stand.rig.recorder.newest)
-    return float(np.abs(whole["omega_true"]).max()) / of.n_p * 60.0 / math.tau
 
 
 @pytest.mark.long("the steps up to it")
@@ -343,7 +332,7 @@ def test_a_motor_that_runs_away_is_switched_off_by_its_hall_edges() -> None:
 def test_drawn_benches_without_an_encoder_are_inside_their_intervals() -> None:
     """Four benches of each motor: coverage of each quantity, and the worst error."""
     benches = [(name, FIRST + seed) for seed in range(4) for name in NAMES]
-    inside, worst, refused = coverage(benches)
+    inside, worst, refused = coverage(benches, told_its_pole_pairs, encoder=False)
     told = {key: (inside[key], worst[key]) for key in worst}
     assert not refused
     assert all(inside[key] >= 0.9 * len(benches) * (12 if key == "edges" else 1) for key in worst), told
@@ -351,22 +340,8 @@ def test_drawn_benches_without_an_encoder_are_inside_their_intervals() -> None:
     assert worst["edges"] < WORST_EDGES, told
 
 
-def coverage(benches: Sequence[tuple[str, int]]) -> tuple[Counter[str], dict[str, float], list[str]]:
-    """How many intervals hold, the worst errors (relative; of angles rad), and what was refused."""
-    inside: Counter[str] = Counter()
-    worst: dict[str, float] = {}
-    refused: list[str] = []
-    for name, seed in benches:
-        of = drawn(name, seed, encoder=False)
-        with standing(of, seed) as stand:
-            stand.pole_pairs = of.n_p
-            outcomes, said = steps_of(stand)
-        refused += [f"{name} {seed} {each}" for each in said if "ring sits" not in each]
-        values, truth = found(outcomes), {**of.truth, **of.turning}
-        for key, error in errors(of, outcomes).items():
-            inside[key] += values[key].covers(truth[key])
-            worst[key] = max(worst.get(key, 0.0), abs(error))
-        for key, error in edge_errors(of, outcomes).items():
-            inside["edges"] += abs(error) <= values[key].half_width
-            worst["edges"] = max(worst.get("edges", 0.0), abs(error))
-    return inside, worst, refused
+def told_its_pole_pairs(of: MadeBench, seed: int) -> tuple[dict[str, Outcome], list[str]]:
+    with standing(of, seed) as stand:
+        stand.pole_pairs = of.n_p
+        outcomes, said = steps_of(stand)
+    return outcomes, [each for each in said if "ring sits" not in each]
