@@ -198,8 +198,11 @@ class Vigil:
         now, heartbeat = client.now(), client.heartbeats.get(self._node.number)
         new = heartbeat is not self._newest
         gaps = client.pauses, client.health.downtime
-        if new or client.health.down_since is not None or gaps != self._gaps or client.behind:
-            self._newest, self._came, self._gaps = heartbeat, now, gaps
+        if client.health.down_since is not None or gaps != self._gaps or client.behind:
+            self._came = self._began = now  # what it has said since START may still be on its way
+        elif new:
+            self._came = now
+        self._newest, self._gaps = heartbeat, gaps
         if now - self._came > QUIET:
             return f"no heartbeat for {now - self._came:.1f} s: its state is unknown"
         if heartbeat is None or heartbeat.boot_id != self._boot or heartbeat.state == DriveState.FAULT:
