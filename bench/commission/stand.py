@@ -8,7 +8,7 @@ agreed to ends the step with the outputs off.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -26,6 +26,7 @@ from bench.errors import BenchError
 from bench.rig.drive import DriveTripped
 from bench.rig.needs import offers
 from bench.rig.rig import Rig
+from bench.rig.rig import Stretch as Recorded
 from bench.signal.capture import Capture
 from bench.signal.position import unwrapped
 from bench.signal.units import RPM
@@ -62,9 +63,25 @@ def channels(rig: Rig) -> tuple[Channel, ...]:
 
 
 class Stretch:
-    """What `Stand.stretch` has taken; `window` once it has ended."""
+    """What `Stand.stretch` has taken, once it has ended."""
 
-    window: Window
+    def __init__(self) -> None:
+        self._take: Callable[[], Window | None] = lambda: None
+        self._last: Window | None = None
+
+    def taken(self, take: Callable[[], Window | None]) -> None:
+        """It has ended: how its window is had."""
+        self._take = take
+
+    def until(self, look: Window) -> None:
+        """What came after this look does not belong to it."""
+        self._last = look
+
+    @property
+    def window(self) -> Window | None:
+        """None where the drive's memory held nothing of it any more."""
+        window = self._take()
+        return window if window is None or self._last is None else window.until(self._last)
 
 
 @dataclass(frozen=True)
@@ -110,6 +127,7 @@ class Stand:
         """s, the effective one, once it is known."""
         self.heats: Floats = np.zeros(len(COOLING))
         """A2 s of the current's amplitude so far, as a winding keeps it that cools with each of the times COOLING."""
+        self._kept: Recorded | None = None  # what the drive's memory keeps of this run
         self._heated = -1  # tick up to which it is counted
         self._asked = 0j  # A, i_d + j i_q that was last asked for
         self.outcomes: dict[str, Outcome] = {}
@@ -177,13 +195,10 @@ class Stand:
         """r/min of the shaft, the most that was agreed to and that the drive lets one ask for."""
         return min(self.rig.drive.envelope.rpm, self.rig.drive.parameters.get("omega_m_max", math.inf) / RPM)
 
-    def require_every_period(self, step: str) -> None:
-        """Raise Refused where the link does not carry every PWM period: what turns cannot wait for a slow one."""
-        if self.rig.full_rate is not None:
-            raise Refused(
-                step, "the link does not carry every PWM period, and a shaft that turns does not wait for it: use USB, "
-                "TCP or a serial link of 3 Mbaud"
-            )  # fmt: skip
+    @property
+    def held(self) -> bool:
+        """Whether the drive's memory holds what the link is too slow for, Hall edges too."""
+        return self.rig.full_rate is not None
 
     def allow_voltage(self, volts: float) -> None:
         """Of a drive at rest: the largest voltage that it takes from VOLTAGE and from a test signal."""
@@ -207,7 +222,7 @@ class Stand:
         where the drive trips.
         """
         drive = self.rig.drive
-        self.step = step
+        self.step, self._kept = step, None
         try:
             if angle is not None:
                 drive.set("forced", 1.0)  # before it starts: Hall sensors that are wrong may not trip it
@@ -288,14 +303,40 @@ class Stand:
         """What happens inside, as one window after it, if it ends without an exception.
 
         Raises Refused as `run` does. Ask for a current before it, so that all of the window is under one command.
+        Where the drive's memory keeps it (`keep`) its window is there once the drive has stopped.
         """
-        taken = Stretch()
-        with self.rig.recording() as recorded:
-            yield taken
-        capture = recorded.capture
+        stretch, asked, kept = Stretch(), self._asked, self._kept
+        if kept is not None:
+            first = self.rig.tick()
+            yield stretch
+            last = self.rig.tick()
+            stretch.taken(lambda: self._part(kept, first, last, kind, asked))
+            return
+        with self.rig.recording() as recording:
+            yield stretch
+        window = self._windowed(recording.capture, kind, asked)
+        stretch.taken(lambda: window)
+
+    def keep(self, before: float, after: float = 0.1, full: bool = True) -> None:
+        """Of a drive that runs: have it keep what stretches are to show, where the link is too slow; see `Rig.keep`.
+
+        They begin from now on, and the last one ends `after` s, at most, after the outputs went off.
+        """
+        if self.held:
+            self._kept = self.rig.keep(before, after, full)
+
+    def _part(self, kept: Recorded, first: int, last: int, kind: str, asked: complex) -> Window | None:
+        if kept.last < 0:
+            kept.end()
+        capture = kept.capture
+        oldest, newest = int(capture.samples.tick[0]), int(capture.samples.tick[-1])
+        if last <= oldest or first >= newest:
+            return None
+        return self._windowed(capture.ticks(max(first, oldest), min(last, newest)), kind, asked)
+
+    def _windowed(self, capture: Capture, kind: str, asked: complex) -> Window:
         self._require_whole(capture)
-        window = window_of(capture, self.T, self.offsets, kind)
-        taken.window = self._checked(replace(window, i_ref=self._asked))
+        return self._checked(replace(window_of(capture, self.offsets, kind), i_ref=asked))
 
     def _checked(self, window: Window) -> Window:
         most = float(np.abs(window.i).max(initial=0.0))
@@ -316,7 +357,7 @@ class Stand:
         raise Refused(step, f"the shaft still turns after {LONGEST_STOP:g} s with the outputs off: hold what turns it")
 
     def look(self, seconds: float) -> Window:
-        """The same as the link carries it, whatever its rate: to see whether a current flows."""
+        """The same as the link carries it, whatever its rate: to see whether a current flows, or how it turns."""
         self._follow()
         return self._checked(self._window(self.rig.streamed(seconds), ""))
 
@@ -335,7 +376,7 @@ class Stand:
 
     def _window(self, capture: Capture, kind: str) -> Window:
         self._require_whole(capture)
-        window = window_of(capture, self.T, self.offsets, kind)
+        window = window_of(capture, self.offsets, kind)
         first, last = int(capture.samples.tick[0]), int(capture.samples.tick[-1])
         if self._heated >= 0:
             between = max(first - self._heated, 0) / self.rig.recorder.tick_hz
@@ -361,37 +402,36 @@ class Stand:
 
     def _mean_square(self, first: int, last: int) -> float:
         """A2 between two windows: as streamed, or of the current that was asked for where the drive held samples."""
-        if self.rig.full_rate is not None or last <= first + 1:
+        if self.held or last <= first + 1:
             return abs(self._asked) ** 2
-        between = window_of(self.rig.between(first, last), self.T, self.offsets, "")
+        between = window_of(self.rig.between(first, last), self.offsets, "")
         return max(float(np.mean(np.abs(between.current) ** 2)) - self._square_of_noise, 0.0)
 
     def _follow(self) -> None:
         self.rig.drive.node.watch_setpoints()
 
 
-def window_of(capture: Capture, T: float, offsets: Floats, kind: str) -> Window:
-    """What was streamed at the PWM rate, as a window; `offsets`, A, shape (3,), of the current sensors."""
-    samples, edges = capture.samples, capture.edges
-    tick = samples.tick
-    per = (tick[-1] - tick[0]) / max(int(samples.index[-1] - samples.index[0]), 1) or 1.0
+def window_of(capture: Capture, offsets: Floats, kind: str) -> Window:
+    """A capture as a window; `offsets`, A, shape (3,), of the current sensors."""
+    samples, edges, config = capture.samples, capture.edges, capture.samples.config
+    tick, per = samples.tick, config.period_ticks * config.decimation
     theta = None
     if WITH_ENCODER in capture:
         theta = capture[WITH_ENCODER]
     status = samples.raw["status"].astype(np.int64)
     return Window(
-        T=T,
+        T=per / config.tick_hz,
         i=np.stack([capture[name] for name in ("i_a", "i_b", "i_c")]) - offsets[:, None],
         u=np.asarray(capture["u_alpha"] + 1j * capture["u_beta"]),
         u_dc=capture["u_dc"],
         theta=theta,
         control=capture["theta_ctrl"],
-        index=samples.index,
+        index=tick // per,
         cycle=(status & Status.INJECTION_SYNC) != 0,
         edges=Edges(
             edges.hall_old.astype(np.int64),
             edges.hall_new.astype(np.int64),
-            (edges.tick - tick[0]) / per + float(samples.index[0]),
+            (edges.tick - tick[0]) / per + float(tick[0] // per),
             edges.encoder.astype(np.int64),
         ),
         kind=kind,

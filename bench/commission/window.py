@@ -27,7 +27,7 @@ class Edges:
     new: Integers
     """Code after it."""
     index: Floats
-    """When, in PWM periods, on the same scale as `Window.index`."""
+    """When, on the same scale as `Window.index`."""
     count: Integers
     """Count of the encoder at the edge; all 0 without one."""
 
@@ -43,14 +43,14 @@ def no_edges() -> Edges:
 
 @dataclass(frozen=True)
 class Window:
-    """Samples of one stretch at the PWM rate.
+    """Samples of one stretch, evenly in time.
 
-    The voltage `u[k + 1]` is what lay on the winding between the samples `i[k]` and `i[k + 1]`, in the mean of that
-    period (SPEC, chapter 13).
+    At the PWM rate the voltage `u[k + 1]` is what lay on the winding between the samples `i[k]` and `i[k + 1]`, in the
+    mean of that period (SPEC, chapter 13).
     """
 
     T: float
-    """s, the PWM period."""
+    """s from sample to sample: the PWM period, or some of them where a link is slow."""
     i: Floats
     """A, shape (3, n): phase currents less their offsets."""
     u: Complexes
@@ -62,7 +62,7 @@ class Window:
     control: Floats
     """rad, shape (n,): theta_ctrl as streamed, the angle that the control used."""
     index: Integers
-    """PWM period of each sample, shape (n,)."""
+    """Of each sample, shape (n,): T, counted by the drive's clock."""
     cycle: Booleans
     """Shape (n,): a cycle of the test signal begins (bit 7 of status)."""
     edges: Edges = field(default_factory=no_edges)
@@ -100,7 +100,7 @@ class Window:
 
     def until(self, other: Window) -> Window:
         """Its part up to where `other` ends."""
-        return self._part(0, int(np.searchsorted(self.index, other.index[-1], side="right")))
+        return self._part(0, int(np.searchsorted(self.index * self.T, other.index[-1] * other.T, side="right")))
 
     def _part(self, begin: int, end: int) -> Window:
         edges, first, last = self.edges, self.index[begin], self.index[end - 1]

@@ -494,11 +494,18 @@ class Rig:
         try:
             yield stretch
         finally:
-            stretch.last = self.tick() if self.client.health.down_since is None else self.recorder.newest
-            if held is not None:
-                held.end(stretch.first, stretch.last, self.recorder.course(stretch.sets))
+            stretch.end()
         if self.recorder.newest < stretch.last:
             self.until(lambda: self.recorder.newest >= stretch.last, LATE)
+
+    def keep(self, before: float, after: float, full: bool = True) -> Stretch:
+        """Where the link is too slow, of a drive that runs: what comes until its `end`, after the outputs went off.
+
+        The drive's memory keeps the last `before` s with its outputs on, at most, and `after` s then; `full` at every
+        PWM period, else at a lower rate where it would not hold all.
+        """
+        held = None if self.full_rate is None else self.full_rate.keep(before, after, full)
+        return Stretch(self, self.tick(), self.recorder.sets, held=held)
 
     def see_clock(self) -> None:
         """Look at the drive's clock, unless that was done in the last moment. Raises HbpError."""
@@ -775,6 +782,13 @@ class Stretch:
     last: int = -1
     held: Held | None = None
     """What the drive's memory holds of it, where the link is too slow."""
+
+    def end(self) -> None:
+        """It lasted up to now."""
+        rig = self.rig
+        self.last = rig.tick() if rig.client.health.down_since is None else rig.recorder.newest
+        if self.held is not None:
+            self.held.end(self.first, self.last, rig.recorder.course(self.sets))
 
     @property
     def capture(self) -> Capture:

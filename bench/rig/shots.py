@@ -31,7 +31,7 @@ InfoOf = Callable[[tuple[Channel | Signal, ...]], RunInfo]
 STRETCH = 2.5  # s that what happens in a block may last, where nobody says how long
 SPARE = 0.3  # s that commands in a block may take beside what was said
 SHARE = 0.3  # of a link that streams may take where captures are to be read beside them
-_NOW = Trigger.parse("now")
+_NOW, _STOPS = Trigger.parse("now"), Trigger.parse("state")
 
 
 class Shot:
@@ -113,8 +113,9 @@ class Held:
     So what follows it can be done first: a load that the motor bears for a second is not left on it for a minute.
     """
 
-    def __init__(self, number: int, seconds: float, read: Callable[[Held], Capture]) -> None:
-        self.number, self.seconds = number, seconds
+    def __init__(self, number: int, seconds: float, read: Callable[[Held], Capture], whole: bool = True) -> None:
+        """`whole`: what the memory does not hold of it counts as lost."""
+        self.number, self.seconds, self.whole = number, seconds, whole
         self.first = self.last = -1
         self.parameters: Mapping[str, float] = {}
         self._read = read
@@ -169,36 +170,47 @@ class FullRate:
         self._pending = Held(self._begin(length), length, self._finish)
         return self._pending
 
+    def keep(self, before: float, after: float, full: bool) -> Held:
+        """Of a drive that runs: the last `before` s, at most, until its outputs go off, and `after` s from then on.
+
+        `full`: at every PWM period, of less time before where the memory holds less; else of all, at a lower rate.
+        """
+        self._pending = Held(self._arm(_STOPS, before, after, full), after, self._finish, whole=False)
+        return self._pending
+
     def _finish(self, held: Held) -> Capture:
-        """Read a stretch that has ended; what the memory did not hold of it counts as lost."""
+        """Read a stretch that has ended."""
         captured = self._read(held.number, held.seconds, None)
         capture = captured.capture(held.parameters)
         newest, hz = int(captured.samples.tick[-1]), self.stream.tick_hz
-        if newest < held.last - captured.stream.period_ticks * captured.stream.decimation:
+        if held.whole and newest < held.last - captured.stream.period_ticks * captured.stream.decimation:
             words = f"the drive's memory held no sample after {newest / hz:.4f} s: give record.stretch() its length"
             capture = replace(capture, dropped=(*capture.dropped, (newest, held.last, words)))
         return capture.ticks(held.first, held.last)
 
     def _begin(self, seconds: float) -> int:
-        edges, names = room_for_edges(self._edges_per_s, seconds), [channel.name for channel in self.channels]
-        wanted = Wanted(_NOW, seconds, 0.0, names, self._decimation(seconds, edges), edges)
+        return self._arm(_NOW, 0.0, seconds, self.full)
+
+    def _arm(self, trigger: Trigger, before: float, after: float, full: bool) -> int:
         if self._pending is not None:
             self._pending.read()
             self._pending = None
         status = self._memory.status()
         if status.state == CaptureState.FROZEN:  # of a trip that a test has made
             self._memory.give_up()
-        return self._memory.arm(wanted).number
-
-    def _decimation(self, seconds: float, edges: int) -> int:
+        edges, rate = room_for_edges(self._edges_per_s, before + after), self.stream.rate
         fits = (self.room - EDGE_RECORD.itemsize * edges) // self.stream.dtype.itemsize
-        decimation = math.ceil(seconds * self.stream.rate / fits) if fits > 0 else 0
-        if not 1 <= decimation <= (1 if self.full else MAX_DECIMATION):
+        if full:
+            before = min(before, max(fits / rate - after, 0.0))
+        seconds = before + after
+        decimation = math.ceil(seconds * rate / fits - 1e-9) if fits > 0 else 0
+        if not 1 <= decimation <= (1 if full else MAX_DECIMATION):
             raise BenchError(
-                f"{seconds:g} s of {len(self.channels)} channels at {self.stream.rate:g} Hz do not fit into the "
-                f"drive's {self.room} bytes for captures"
+                f"{seconds:g} s of {len(self.channels)} channels at {rate:g} Hz do not fit into the drive's "
+                f"{self.room} bytes for captures"
             )
-        return decimation
+        names = [channel.name for channel in self.channels]
+        return self._memory.arm(Wanted(trigger, seconds, before / seconds, names, decimation, edges)).number
 
     def _read(self, number: int, seconds: float, until: Until | None) -> Captured:
         status = self._memory.wait(number, seconds + COMPLETE, until)

@@ -11,16 +11,16 @@ Without an encoder the d current flows at a lower speed, too: edges that are see
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from bench.commission.analysis import by_edges
 from bench.commission.refusal import Refused
-from bench.commission.stand import Stand
+from bench.commission.stand import Stand, Stretch
 from bench.commission.window import Window
 from bench.rig.envelope import Envelope
-from bench.signal.position import unwrapped
+from bench.signal.position import wrap
 from bench.signal.units import RPM
 
 STEP = "spin"
@@ -52,6 +52,9 @@ OVER_FRICTION = 2.5
 """Times the current that friction takes, at least."""
 LONGEST, PATIENCE, LONGEST_COAST = 6.0, 2.5, 2.2
 """s to the top, and with less than all of the current, and of a coast, at most."""
+LONGEST_LAP, LONGEST_HELD, AFTER = 6.0, 1.5, 0.2
+"""s of a lap with the outputs on, and of a coast, that the drive's memory is to keep where the link is slow, and s that
+the end of a coast is seen late."""
 SLOW = 2.0
 """Times SECONDS, after which the next acceleration has more current: what friction takes at speed nobody knew."""
 LOOK = 0.02
@@ -94,6 +97,9 @@ class Spin:
     friction: float
     """A of q current that the shaft takes at the slowest."""
     windows: list[Window] = field(default_factory=list)
+    """Of the laps so far,"""
+    stretches: list[Stretch] = field(default_factory=list)
+    """and those of the one that goes on."""
     fastest: float = 0.0
     """rad/s, electrical, that was seen,"""
     now: float = 0.0
@@ -126,8 +132,11 @@ class Spin:
 
     def look(self) -> Look:
         """The next of it, and how fast it was. Refused where a current flows and the edges of Hall sensors stop."""
-        window = self.stand.look(LOOK)
-        self.now = self._by_edges(window.i_ref) if window.theta is None else speed(window)
+        return self._look(LOOK)
+
+    def _look(self, seconds: float) -> Look:
+        window = self.stand.look(seconds)
+        self.now = self._by_edges(window.i_ref) if window.theta is None else speed(window.last(LOOK), self.now)
         self.fastest = max(self.fastest, abs(self.now))
         return Look(window, self.now)
 
@@ -176,26 +185,25 @@ class Spin:
     # -- commands -----------------------------------------------------------------------------------------------
 
     def accelerate(self, i_q: float) -> bool:
-        """A q current until it is at the top; whether it got there. The window is kept."""
+        """A q current until it is at the top; whether it got there."""
         self.stand.current(0.0, i_q)
         with self.stand.stretch("up") as taken:
             seen, reached = self.watch(LONGEST if abs(i_q) >= self.most else PATIENCE)
             self.stand.current(0.0, 0.0)
         self.slope, self.took = abs(_slope(seen)), _apart(seen)
-        self.windows.append(replace(taken.window, i_ref=complex(0.0, i_q)).until(seen[-1].window))
+        taken.until(seen[-1].window)
+        self.stretches.append(taken)
         return reached
 
     def hold(self, i_d: float, i_q: float, seconds: float, kind: str) -> None:
-        """A current for so long. The window is kept."""
+        """A current for so long."""
         self.stand.current(i_d, i_q)
         with self.stand.stretch(kind) as taken:
             if self.blind:
                 self._wait_by_edges(seconds, complex(i_d, i_q))
             else:
-                self.stand.wait(seconds)
-        self.windows.append(taken.window)
-        if not self.blind:
-            self.now = speed(taken.window.last(LOOK))
+                self._look(seconds)
+        self.stretches.append(taken)
 
     def first_torque(self) -> float:
         """A of q current that takes it to the top in SECONDS: by a small one that grows until the shaft turns."""
@@ -219,8 +227,12 @@ class Spin:
 
     def lap(self, way: float, i_q: float, number: int) -> tuple[float, float]:
         """To the top and down again; the q current that it took, A, and s of the coast."""
+        if self.stand.held:  # the last lap was read meanwhile
+            self.stand.await_rest(STEP)
+            self.now = 0.0
         self.began = self.now
         with self.stand.running(STEP, None):
+            self.stand.keep(LONGEST_LAP, self.longest_coast + AFTER)
             if number == 1 and self.blind:
                 self.goal = LOWER * self.fastest
                 i_q = self.reach(way, i_q)
@@ -230,7 +242,12 @@ class Spin:
             top = abs(self.now)
             if number == 0:
                 self.top(way, i_q)
-        return i_q, self.coast(top)
+        with self.stand.stretch("off") as taken:
+            coasted = self.slow_down(top)
+        self.stretches.append(taken)
+        self.windows += [window for each in self.stretches if (window := each.window) is not None]
+        self.stretches.clear()
+        return i_q, coasted
 
     def reach(self, way: float, i_q: float) -> float:
         """Accelerate to the top, with more current where it takes too long; A that the next one should have."""
@@ -258,20 +275,23 @@ class Spin:
                 turns = ALONG_TURNS * math.tau / max(abs(self.now), 1.0) if self.blind else 0.0
                 self.hold(sign * self.most, 0.0, min(max(ALONG, turns), MOST_ALONG), kind)
 
-    def coast(self, top: float) -> float:
-        """Outputs off until it is slow; s that it took."""
-        with self.stand.stretch("off") as taken:
-            seen = [self.look()]
-            while _apart(seen) < LONGEST_COAST and abs(self.now) > ENDS * top:
-                seen = [seen[0], self.look()]
-        self.windows.append(taken.window)
-        return taken.window.seconds
+    def slow_down(self, top: float) -> float:
+        """With the outputs off until it is slow; s that it took."""
+        seen = [self.look()]
+        while _apart(seen) < self.longest_coast and abs(self.now) > ENDS * top:
+            seen = [seen[0], self.look()]
+        return _apart(seen)
+
+    @property
+    def longest_coast(self) -> float:
+        """s, at most."""
+        return LONGEST_HELD if self.stand.held else LONGEST_COAST
 
 
-def speed(window: Window) -> float:
-    """rad/s, electrical, in the mean, by the encoder."""
-    theta = unwrapped(np.asarray(window.theta))
-    return float(theta[-1] - theta[0]) / (window.T * max(len(theta) - 1, 1))
+def speed(window: Window, near: float = 0.0) -> float:
+    """rad/s, electrical, in the mean, by the encoder; `near` that, so that samples may be a turn apart."""
+    apart = np.diff(np.asarray(window.theta))
+    return near + float(np.mean(wrap(apart - near * window.T))) / window.T if len(apart) else near
 
 
 def _apart(seen: list[Look]) -> float:
@@ -291,12 +311,16 @@ def _voltage(window: Window) -> complex:
 
 def spin(stand: Stand) -> Spin:
     """Spin it both ways. Raises Refused where it may not be spun, and where it does not get there."""
-    stand.require_every_period(STEP)
     turned = stand.turned
     if turned is None or (turned.dragged is None and turned.hall is None):
         raise Refused(
             STEP, "there are neither an encoder nor Hall sensors that the drive could run on: flux, inertia, friction "
             "and edges are not claimed"
+        )  # fmt: skip
+    if stand.held and turned.dragged is None:
+        raise Refused(
+            STEP, "not spun: the link does not carry every PWM period, and without an encoder nothing tells the speed "
+            "meanwhile: use USB, TCP or a serial link of 3 Mbaud"
         )  # fmt: skip
     if turned.first:
         raise Refused(STEP, f"not spun, because {turned.first}")
@@ -313,8 +337,7 @@ def spin(stand: Stand) -> Spin:
     made = Spin(stand, turned.n_p or 1, turned.share * SHARE * stand.i_max)
     with stand.running(STEP, None):
         i_q = made.first_torque()
-    made.coast(max(made.fastest, TURNS))
-    made.windows.clear()
+    made.slow_down(max(made.fastest, TURNS))
     for way in (1.0, -1.0):
         lap, coasted = 0, 0.0
         while lap < LAPS or (coasted < COAST and lap < MOST_LAPS):

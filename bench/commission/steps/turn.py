@@ -20,7 +20,7 @@ from bench.commission.analysis.stretches import merged
 from bench.commission.outcome import Evidence, Outcome, Panel
 from bench.commission.quantity import Quantity
 from bench.commission.refusal import Refused
-from bench.commission.stand import Stand, Turned
+from bench.commission.stand import Stand, Stretch, Turned
 from bench.commission.steps.without_encoder import counted_by_hand, run_on_halls
 from bench.commission.window import Floats, Window
 from bench.findings.finding import Finding, degrees
@@ -41,6 +41,8 @@ RAMP = 0.3
 """s in which the angle gets to its speed."""
 SETTLE = 0.3
 """s after it, until the rotor follows evenly."""
+START = 2.0 * RAMP + SETTLE
+"""s of a way before it is looked at, at most."""
 LOOK = 0.05
 """s from look to look at the shaft."""
 WHOLE = math.tau + 0.1
@@ -59,26 +61,20 @@ SHOWN = 1500
 
 def perform(stand: Stand) -> Outcome:
     """Turn it, and tell the drive what pole pairs and encoder are."""
-    stand.require_every_period(STEP)
     stand.compensate(stand.L, min(FASTEST_LOOP, gains.bandwidth(stand.L, stand.limits)))
     n_p = 1 if stand.has_encoder or stand.pole_pairs is None else stand.pole_pairs
     stand.set(n_p=float(n_p), encoder_zero=0.0, encoder_reverse=0.0)
     current = SHARE * stand.i_max
-    with stand.running(STEP):
-        stand.ramp(0.05 * current, current, 0.6, 30)
-        stand.wait(0.4)
-        lines = int(stand.rig.drive.parameters.get("encoder_lines", 0))
-        up, down, moved = _both_ways(stand, lines)
-        if moved:  # a counter that its index has set right is believed from then on
-            up, down, again = _both_ways(stand, lines)
-            if again:
-                raise Refused(
-                    STEP, f"the encoder's angle jumps by {degrees(again)} of the shaft where it has been before: its "
-                    "index pulse comes at more places than one, it loses counts, or its lines are not "
-                    f"{lines or 'as the drive has them'}"
-                )  # fmt: skip
-        stand.current(0.0)
-        stand.wait(0.02)
+    lines = int(stand.rig.drive.parameters.get("encoder_lines", 0))
+    up, down, moved = _both_ways(stand, current, lines)
+    if moved:  # a counter that its index has set right is believed from then on
+        up, down, again = _both_ways(stand, current, lines)
+        if again:
+            raise Refused(
+                STEP, f"the encoder's angle jumps by {degrees(again)} of the shaft where it has been before: its "
+                "index pulse comes at more places than one, it loses counts, or its lines are not "
+                f"{lines or 'as the drive has them'}"
+            )  # fmt: skip
     outcome, turned = analyse(up, down, lines, current, stand.i_max)
     if moved:
         told = (
@@ -141,13 +137,22 @@ def _speed(stand: Stand) -> float:
     return min(SPEED, MARGIN * stand.rpm * RPM)
 
 
-def _both_ways(stand: Stand, lines: int) -> tuple[Window, Window, float]:
-    """The two ways, and by how much the encoder has jumped meanwhile, rad of the shaft."""
-    up, down = (_way(stand, way * _speed(stand)) for way in (1.0, -1.0))
+def _both_ways(stand: Stand, current: float, lines: int) -> tuple[Window, Window, float]:
+    """The two ways with a `current`, A, and by how much the encoder has jumped meanwhile, rad of the shaft."""
+    with stand.running(STEP):
+        stand.ramp(0.05 * current, current, 0.6, 30)
+        stand.wait(0.4)
+        stand.keep(2.0 * (dragged.MOST_PAIRS * math.tau / _speed(stand) + START), full=False)
+        ways = [_way(stand, way * _speed(stand)) for way in (1.0, -1.0)]
+        stand.current(0.0)
+        stand.wait(0.02)
+    up, down = (way.window for way in ways)
+    if up is None or down is None:
+        raise Refused(STEP, "the drive's memory holds too little of a turn")
     return up, down, dragged.jump([up, down], lines) if up.theta is not None else 0.0
 
 
-def _way(stand: Stand, omega: float) -> Window:
+def _way(stand: Stand, omega: float) -> Stretch:
     """One way, at a speed that does not change, by a whole turn of the shaft if it follows."""
     stand.drag(omega, abs(omega) / RAMP)
     stand.wait((2.0 if omega < 0.0 else 1.0) * RAMP + SETTLE)
@@ -164,7 +169,7 @@ def _way(stand: Stand, omega: float) -> Window:
             turned, last = turned + float(shaft[-1] - shaft[0]), float(look.theta[-1])
             if abs(turned) > WHOLE or (gone > BLIND and abs(turned) < STILL):
                 break
-    return taken.window
+    return taken
 
 
 def analyse(up: Window, down: Window, lines: int, current: float, i_max: float) -> tuple[Outcome, Turned]:
