@@ -24,6 +24,9 @@ from bench.signal.position import unwrapped
 
 FLOOR = 1.5e-3
 """Of psi, sd: drift of the current sensors, and harmonics beside dead time."""
+DEAD_TIME_LEFT = 8e-3
+"""Of the volts that dead time takes, sd: what its compensation leaves across the current. It does not grow with the
+speed: of a slow shaft it is a larger share of the back-EMF."""
 CLEAR = 0.9
 """Of the rms of the voltage, that its mean along its own phase must be: else another thing than the rotor turns it."""
 STEADY = 0.2
@@ -115,11 +118,13 @@ def _rotation(v: Complexes, i: Complexes, phase: Floats, window: Window, at: flo
     return Rotation(middle, half, curve, w, shrink, float(mean.real), complex(i_dq.mean()), ahead, window.kind == "d+")
 
 
-def flux_by_back_emf(windows: Sequence[Window], R: Quantity, L_q: Quantity, late: Quantity = UNKNOWN_LATE) -> Quantity:
+def flux_by_back_emf(
+    windows: Sequence[Window], R: Quantity, L_q: Quantity, late: Quantity = UNKNOWN_LATE, U_dead: float = 0.0
+) -> Quantity:
     """Psi, V s, of windows of the kinds "d+" and "d-" at speed, without a sensor of position.
 
-    `late`, s: by which currents are sampled late, which nothing tells here; R late / L_q of psi hangs on it. Refused
-    where a clear voltage turned in too few of them.
+    `late`, s: by which currents are sampled late, which nothing tells here; R late / L_q of psi hangs on it. `U_dead`,
+    V, that dead time takes of a phase. Refused where a clear voltage turned in too few of them.
     """
     found = list(rotations(windows, R.value, L_q.value))
     if found:
@@ -138,6 +143,7 @@ def flux_by_back_emf(windows: Sequence[Window], R: Quantity, L_q: Quantity, late
     by = R.value / L_q.value
     value = float(told.x[0]) / (1.0 + by * late.value)
     noise = float(told.sd[0]) * told.inflation()
-    i_q = float(np.mean([abs(each.i.imag) for each in found])) / float(ws.mean())
-    by_cause = {"noise": noise, "R": R.sd * i_q, "late currents": by * late.sd * value, "method": FLOOR * value}
+    i_q, left = float(np.mean([abs(each.i.imag) for each in found])), DEAD_TIME_LEFT * U_dead
+    by_cause = {"noise": noise, "R": R.sd * i_q / float(ws.mean()), "dead time": left / float(ws.mean())}
+    by_cause |= {"late currents": by * late.sd * value, "method": FLOOR * value}
     return Quantity("psi_f", "V s", value, by_cause, 1.0)

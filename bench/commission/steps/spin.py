@@ -67,6 +67,8 @@ ALONG, PAIRS = 0.08, 3
 """s of a d current of each sign, and how many of each;"""
 BLIND_PAIRS, ALONG_TURNS, MOST_ALONG = 5, 4.0, 0.2
 """and without an encoder so many, each electrical turns at least, and s at most."""
+SLOWED = 0.8
+"""Of the speed at their beginning, below which the shaft is accelerated again."""
 HEAVY, TORQUE = 0.3, 0.04
 """Of the largest current to accelerate with, from which a rotor is heavy enough for s of all of it at the top."""
 ENDS = 0.12
@@ -105,13 +107,15 @@ class Spin:
     now: float = 0.0
     """and at the last look."""
     began: float = 0.0
-    """rad/s, electrical, at which this lap began."""
+    """rad/s, electrical, at which this acceleration began."""
     goal: float = math.inf
     """rad/s, electrical, to which it accelerates, if that is less than the limits allow."""
     slope: float = 0.0
     """rad/s2, electrical, of the last acceleration,"""
     took: float = 0.0
     """and s that it took."""
+    slows: float = 0.0
+    """rad/s2, electrical, by which it slows down with the outputs off."""
 
     @property
     def most(self) -> float:
@@ -154,11 +158,13 @@ class Spin:
             )  # fmt: skip
         return w
 
-    def _wait_by_edges(self, seconds: float, asked: complex) -> None:
-        """Wait while this current is asked for, and look at the edges meanwhile."""
+    def _wait_by_edges(self, seconds: float, asked: complex, slowest: float) -> None:
+        """Wait while this current is asked for, and look at the edges meanwhile: no longer than the shaft is fast."""
         for _ in range(round(seconds / LOOK)):
             self.stand.wait(LOOK)
             self.now = self._by_edges(asked)
+            if abs(self.now) < slowest:
+                break
 
     def watch(self, seconds: float) -> tuple[list[Look], bool]:
         """Looks for so long, or until it is as fast as it may be, or will be before a command can end it.
@@ -186,6 +192,7 @@ class Spin:
 
     def accelerate(self, i_q: float) -> bool:
         """A q current until it is at the top; whether it got there."""
+        self.began = self.now
         self.stand.current(0.0, i_q)
         with self.stand.stretch("up") as taken:
             seen, reached = self.watch(LONGEST if abs(i_q) >= self.most else PATIENCE)
@@ -195,12 +202,12 @@ class Spin:
         self.stretches.append(taken)
         return reached
 
-    def hold(self, i_d: float, i_q: float, seconds: float, kind: str) -> None:
-        """A current for so long."""
+    def hold(self, i_d: float, i_q: float, seconds: float, kind: str, slowest: float = 0.0) -> None:
+        """A current for so long, by Hall edges while the shaft is faster than `slowest`, rad/s, electrical."""
         self.stand.current(i_d, i_q)
         with self.stand.stretch(kind) as taken:
             if self.blind:
-                self._wait_by_edges(seconds, complex(i_d, i_q))
+                self._wait_by_edges(seconds, complex(i_d, i_q), slowest)
             else:
                 self._look(seconds)
         self.stretches.append(taken)
@@ -230,13 +237,12 @@ class Spin:
         if self.stand.held:  # the last lap was read meanwhile
             self.stand.await_rest(STEP)
             self.now = 0.0
-        self.began = self.now
         with self.stand.running(STEP, None):
             self.stand.keep(LONGEST_LAP, self.longest_coast + AFTER)
             if number == 1 and self.blind:
                 self.goal = LOWER * self.fastest
                 i_q = self.reach(way, i_q)
-                self.along_d(PAIRS)
+                self.along_d(PAIRS, way, i_q)
                 self.goal = math.inf
             i_q = self.reach(way, i_q)
             top = abs(self.now)
@@ -263,23 +269,32 @@ class Spin:
 
     def top(self, way: float, i_q: float) -> None:
         """A d current of both signs, and a torque for a moment where the rotor is heavy."""
-        self.along_d(BLIND_PAIRS if self.blind else PAIRS)
+        self.along_d(BLIND_PAIRS if self.blind else PAIRS, way, i_q)
         gains = self.slope * self.most / i_q * (TORQUE + AHEAD * LOOK)
         if i_q > HEAVY * self.most and abs(self.now) + gains < self.limit:
             self.hold(0.0, way * self.most, TORQUE, "q")
 
-    def along_d(self, pairs: int) -> None:
-        """A d current of both signs, some times."""
+    def along_d(self, pairs: int, way: float, i_q: float) -> None:
+        """A d current of both signs, some times; a shaft that has become slow meanwhile is accelerated again.
+
+        By Hall edges the angle of one that slows down is wrong, and a d current then makes a torque that slows it more:
+        there it has as much q current beside as friction takes.
+        """
+        slowest = SLOWED * abs(self.now)
+        beside = way * i_q * self.slows / max(self.slows + self.slope, 1.0) if self.blind else 0.0
         for _ in range(pairs):
+            if abs(self.now) < slowest:
+                self.reach(way, i_q)
             for sign, kind in ((1.0, "d+"), (-1.0, "d-")):
                 turns = ALONG_TURNS * math.tau / max(abs(self.now), 1.0) if self.blind else 0.0
-                self.hold(sign * self.most, 0.0, min(max(ALONG, turns), MOST_ALONG), kind)
+                self.hold(sign * self.most, beside, min(max(ALONG, turns), MOST_ALONG), kind, slowest)
 
     def slow_down(self, top: float) -> float:
         """With the outputs off until it is slow; s that it took."""
         seen = [self.look()]
         while _apart(seen) < self.longest_coast and abs(self.now) > ENDS * top:
             seen = [seen[0], self.look()]
+        self.slows = abs(_slope(seen))
         return _apart(seen)
 
     @property

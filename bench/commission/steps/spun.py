@@ -98,10 +98,10 @@ def perform(stand: Stand) -> Outcome:
 def _without_encoder(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
     """What back-EMF and Hall edges tell; Refused where the flux is not told."""
     assert stand.turned is not None
-    R, L_q = stand.found["R_s"], stand.found["L_q"]
+    R, L_q, U_dead = stand.found["R_s"], stand.found["L_q"], stand.found["U_dead"].value
     nothing = Quantity("encoder_delay", "s", 0.0)
     in_time = Quantity("current_delay", "s", 0.0)
-    psi = flux_by_back_emf(windows, R, L_q, in_time)
+    psi = flux_by_back_emf(windows, R, L_q, in_time, U_dead)
     found = Spun(Flux(psi, stand.found["L_d_half"], None, replace(nothing, unit="rad"), nothing, 0.0, 0.0))
     found.pole_pairs = stand.turned.n_p is not None
     try:
@@ -120,7 +120,7 @@ def _without_encoder(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spu
     except Refused as refused:
         found.refused.append(refused)
     if found.motion is None:
-        found.flux = replace(found.flux, psi=flux_by_back_emf(windows, R, L_q))
+        found.flux = replace(found.flux, psi=flux_by_back_emf(windows, R, L_q, UNKNOWN_LATE, U_dead))
     return found
 
 
@@ -135,8 +135,8 @@ def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
     assert turned is not None
     assert turned.dragged is not None
     dragged, n_p = turned.dragged, made.n_p
-    R, L_q = stand.found["R_s"], stand.found["L_q"]
-    found = Spun(flux(windows, R, L_q, dragged.zero.value, stand.found["U_dead"].value))
+    R, L_q, U_dead = stand.found["R_s"], stand.found["L_q"], stand.found["U_dead"].value
+    found = Spun(flux(windows, R, L_q, dragged.zero.value, U_dead))
     moved = wrapped(found.flux.zero.value - dragged.zero.value)
     if abs(moved) > max(SLIPPED, SURE * dragged.zero.sd):
         raise Refused(
@@ -155,7 +155,8 @@ def analyse(stand: Stand, made: Spin, windows: Sequence[Window]) -> Spun:
         except Refused as refused:
             found.refused.append(refused)
     try:
-        found.blind = flux_by_back_emf(windows, R, L_q, UNKNOWN_LATE if found.motion is None else found.motion.late)
+        late = UNKNOWN_LATE if found.motion is None else found.motion.late
+        found.blind = flux_by_back_emf(windows, R, L_q, late, U_dead)
     except Refused as refused:
         found.refused.append(refused)
     if found.motion is not None and found.motion.J.value > 0.0:
