@@ -32,7 +32,8 @@ class Step:
 
     def perform(self, stand: Stand) -> Outcome:
         """Take it, and keep for the next ones what it has found. Raises Refused."""
-        stand.outcomes[self.name] = outcome = self.measure(stand)
+        with stand.trips_named():
+            stand.outcomes[self.name] = outcome = self.measure(stand)
         return outcome
 
 

@@ -48,6 +48,8 @@ STILL = 0.1
 """rad, electrical, by which the encoder of a shaft that rests may move in a look."""
 FASTEST_TURN = math.tau
 """rad/s with which the made angle moves at rest."""
+SEEN = 0.01
+"""s of what a link has carried, that tell how much current flowed."""
 COOLING = np.array([math.inf, 60.0, 30.0, 15.0, 8.0, 4.0])
 """s: times with which a winding may cool; which it is, the measurement of R tells."""
 GENTLE = {"bw_current": 0.0, "R_s_hat": 0.0, "L_s_hat": 0.0, "psi_f_hat": 0.0, "dead_time_comp": 0.0}
@@ -200,6 +202,11 @@ class Stand:
         """Whether the drive's memory holds what the link is too slow for, Hall edges too."""
         return self.rig.full_rate is not None
 
+    @property
+    def holds(self) -> float:
+        """s at every PWM period, of which it holds all; inf where the link carries them."""
+        return math.inf if self.rig.full_rate is None else self.rig.full_rate.holds
+
     def allow_voltage(self, volts: float) -> None:
         """Of a drive at rest: the largest voltage that it takes from VOLTAGE and from a test signal."""
         allowed = self.rig.drive.node.parameter("u_test_max")
@@ -218,8 +225,7 @@ class Stand:
     def running(self, step: str, angle: float | None = 0.0) -> Iterator[None]:
         """Within this the outputs are on, at a made angle (electrical rad) and no current; then they are off.
 
-        `angle` None: at the encoder's, and the shaft is let go where it is faster than was agreed to. Raises Refused
-        where the drive trips.
+        `angle` None: at the encoder's, and the shaft is let go where it is faster than was agreed to.
         """
         drive = self.rig.drive
         self.step, self._kept = step, None
@@ -234,11 +240,17 @@ class Stand:
                 else:
                     self.turn_to(angle)
                 yield
-        except DriveTripped as error:
-            raise Refused(step, self._why_tripped(error)) from error
         finally:
             self._asked = 0j
             drive.stop()
+
+    @contextmanager
+    def trips_named(self) -> Iterator[None]:
+        """Within this a drive that trips ends the step: Refused, with what may have made it."""
+        try:
+            yield
+        except DriveTripped as error:
+            raise Refused(self.step, self._why_tripped(error)) from error
 
     def _why_tripped(self, error: DriveTripped) -> str:
         faults = self.rig.drive.faults
@@ -317,13 +329,14 @@ class Stand:
         window = self._windowed(recording.capture, kind, asked)
         stretch.taken(lambda: window)
 
-    def keep(self, before: float, after: float = 0.1, full: bool = True) -> None:
-        """Of a drive that runs: have it keep what stretches are to show, where the link is too slow; see `Rig.keep`.
+    def keep(self, before: float, after: float, edges_per_s: float | None = None) -> None:
+        """Of a drive that runs: have it keep what stretches are to show, where the link is too slow.
 
-        They begin from now on, and the last one ends `after` s, at most, after the outputs went off.
+        They begin from now on, and only the last `before` s until the outputs go off, and `after` s then, are kept; see
+        `FullRate.keep`.
         """
         if self.held:
-            self._kept = self.rig.keep(before, after, full)
+            self._kept = self.rig.keep(before, after, edges_per_s)
 
     def _part(self, kept: Recorded, first: int, last: int, kind: str, asked: complex) -> Window | None:
         if kept.last < 0:
@@ -378,37 +391,54 @@ class Stand:
         self._require_whole(capture)
         window = window_of(capture, self.offsets, kind)
         first, last = int(capture.samples.tick[0]), int(capture.samples.tick[-1])
-        if self._heated >= 0:
-            between = max(first - self._heated, 0) / self.rig.recorder.tick_hz
-            self._warm(self._mean_square(self._heated, first), between)
+        self._heat(first)
         own = max(float(np.mean(np.abs(window.current) ** 2)) - self._square_of_noise, 0.0)
-        self._warm(own, window.seconds)
-        self._heated = last
+        self.heats, self._heated = warmed(self.heats, own, window.seconds), last
         return replace(window, i_ref=self._asked)
 
     def _require_whole(self, capture: Capture) -> None:
         if capture.dropped:
             raise Refused(self.step, f"samples were lost: {capture.dropped[0][2]}; measure again, on a faster link")
 
-    def _warm(self, square: float, seconds: float) -> None:
-        """A current of this mean square (A2) flows for so long."""
-        share = -np.expm1(-seconds / COOLING)  # of the heat that has left
-        kept = np.where(np.isinf(COOLING), seconds, np.where(np.isinf(COOLING), 1.0, COOLING) * share)
-        self.heats = self.heats * (1.0 - share) + square * kept
+    def heat(self) -> tuple[Floats, int]:
+        """A2 s so far, for each time of COOLING, and the drive's tick up to which that is."""
+        self._heat(self.rig.recorder.newest)
+        return self.heats, self._heated
+
+    def heat_of(self, window: Window, before: tuple[Floats, int]) -> Floats:
+        """The same in the middle of a window, once all up to it has come; `before`: what `heat` said just before it."""
+        heats, tick = before
+        middle = round(0.5 * float(window.index[0] + window.index[-1]) * window.dt * self.rig.recorder.tick_hz)
+        seconds = max(middle - tick, 0) / self.rig.recorder.tick_hz
+        return warmed(heats, self._mean_square(tick, middle), seconds)
+
+    def _heat(self, tick: int) -> None:
+        """By the current since the last window, or command, up to this tick."""
+        if 0 <= self._heated < tick:
+            seconds = (tick - self._heated) / self.rig.recorder.tick_hz
+            self.heats = warmed(self.heats, self._mean_square(self._heated, tick), seconds)
+            self._heated = tick
 
     @property
     def _square_of_noise(self) -> float:
         return 4.0 / 3.0 * self.noise**2
 
     def _mean_square(self, first: int, last: int) -> float:
-        """A2 between two windows: as streamed, or of the current that was asked for where the drive held samples."""
-        if self.held or last <= first + 1:
+        """A2 between two windows: as streamed, or of the current that was asked for where no sample came."""
+        if last <= first + 1 or self.rig.recorder.newest < first + SEEN * self.rig.recorder.tick_hz:
             return abs(self._asked) ** 2
         between = window_of(self.rig.between(first, last), self.offsets, "")
         return max(float(np.mean(np.abs(between.current) ** 2)) - self._square_of_noise, 0.0)
 
     def _follow(self) -> None:
         self.rig.drive.node.watch_setpoints()
+
+
+def warmed(heats: Floats, square: float, seconds: float) -> Floats:
+    """The heats, A2 s, for each time of COOLING, after a current of this mean square, A2, for so long."""
+    share = -np.expm1(-seconds / COOLING)  # of the heat that has left
+    kept = np.where(np.isinf(COOLING), seconds, np.where(np.isinf(COOLING), 1.0, COOLING) * share)
+    return np.asarray(heats * (1.0 - share) + square * kept)
 
 
 def window_of(capture: Capture, offsets: Floats, kind: str) -> Window:
@@ -420,7 +450,8 @@ def window_of(capture: Capture, offsets: Floats, kind: str) -> Window:
         theta = capture[WITH_ENCODER]
     status = samples.raw["status"].astype(np.int64)
     return Window(
-        T=per / config.tick_hz,
+        T=config.period_ticks / config.tick_hz,
+        every=config.decimation,
         i=np.stack([capture[name] for name in ("i_a", "i_b", "i_c")]) - offsets[:, None],
         u=np.asarray(capture["u_alpha"] + 1j * capture["u_beta"]),
         u_dc=capture["u_dc"],

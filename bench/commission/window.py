@@ -50,7 +50,7 @@ class Window:
     """
 
     T: float
-    """s from sample to sample: the PWM period, or some of them where a link is slow."""
+    """s, the PWM period."""
     i: Floats
     """A, shape (3, n): phase currents less their offsets."""
     u: Complexes
@@ -62,7 +62,7 @@ class Window:
     control: Floats
     """rad, shape (n,): theta_ctrl as streamed, the angle that the control used."""
     index: Integers
-    """Of each sample, shape (n,): T, counted by the drive's clock."""
+    """Of each sample, shape (n,), by the drive's clock: its number from one to the next."""
     cycle: Booleans
     """Shape (n,): a cycle of the test signal begins (bit 7 of status)."""
     edges: Edges = field(default_factory=no_edges)
@@ -70,6 +70,8 @@ class Window:
     """What was commanded: "up", "d+", "d-", "off", "q", "forced"."""
     i_ref: complex = 0j
     """A: i_d + j i_q commanded, where a current was."""
+    every: int = 1
+    """PWM periods from sample to sample: more than one where a link is slow and the shaft, too."""
 
     def __len__(self) -> int:
         return int(self.i.shape[1])
@@ -92,15 +94,20 @@ class Window:
     @property
     def seconds(self) -> float:
         """s that it lasts."""
-        return len(self) * self.T
+        return len(self) * self.dt
+
+    @property
+    def dt(self) -> float:
+        """s from sample to sample."""
+        return self.every * self.T
 
     def last(self, seconds: float) -> Window:
         """Its last part of so many s."""
-        return self._part(max(len(self) - max(round(seconds / self.T), 2), 0), len(self))
+        return self._part(max(len(self) - max(round(seconds / self.dt), 2), 0), len(self))
 
     def until(self, other: Window) -> Window:
         """Its part up to where `other` ends."""
-        return self._part(0, int(np.searchsorted(self.index * self.T, other.index[-1] * other.T, side="right")))
+        return self._part(0, int(np.searchsorted(self.index * self.every, other.index[-1] * other.every, side="right")))
 
     def _part(self, begin: int, end: int) -> Window:
         edges, first, last = self.edges, self.index[begin], self.index[end - 1]

@@ -498,13 +498,12 @@ class Rig:
         if self.recorder.newest < stretch.last:
             self.until(lambda: self.recorder.newest >= stretch.last, LATE)
 
-    def keep(self, before: float, after: float, full: bool = True) -> Stretch:
+    def keep(self, before: float, after: float, edges_per_s: float | None = None) -> Stretch:
         """Where the link is too slow, of a drive that runs: what comes until its `end`, after the outputs went off.
 
-        The drive's memory keeps the last `before` s with its outputs on, at most, and `after` s then; `full` at every
-        PWM period, else at a lower rate where it would not hold all.
+        See `FullRate.keep` for what the drive's memory keeps of it.
         """
-        held = None if self.full_rate is None else self.full_rate.keep(before, after, full)
+        held = None if self.full_rate is None else self.full_rate.keep(before, after, edges_per_s)
         return Stretch(self, self.tick(), self.recorder.sets, held=held)
 
     def see_clock(self) -> None:

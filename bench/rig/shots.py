@@ -156,7 +156,17 @@ class FullRate:
         )
         self.room = status.room
         self._pending: Held | None = None  # a stretch that has ended, or goes on
-        self._edges_per_s = MORE_EDGES * (edge_rate(drive.node, drive.envelope) or EDGES_PER_SECOND)
+
+    @property
+    def holds(self) -> float:
+        """s at every PWM period, beside the Hall edges of the highest speed, that the memory holds."""
+        sample, edge = self.stream.dtype.itemsize, EDGE_RECORD.itemsize
+        spare = 2 * sample + edge * (room_for_edges(0.0, 0.0) + 1)
+        return (self.room - spare) / (sample * self.stream.rate + edge * self._edges_per_s)
+
+    @property
+    def _edges_per_s(self) -> float:
+        return MORE_EDGES * (edge_rate(self._drive.node, self._drive.envelope) or EDGES_PER_SECOND)
 
     def record(self, seconds: float) -> Capture:
         """The next `seconds`. Raises DriveTripped, and BenchError where the memory does not hold them."""
@@ -170,12 +180,14 @@ class FullRate:
         self._pending = Held(self._begin(length), length, self._finish)
         return self._pending
 
-    def keep(self, before: float, after: float, full: bool) -> Held:
+    def keep(self, before: float, after: float, edges_per_s: float | None) -> Held:
         """Of a drive that runs: the last `before` s, at most, until its outputs go off, and `after` s from then on.
 
-        `full`: at every PWM period, of less time before where the memory holds less; else of all, at a lower rate.
+        `edges_per_s`: Hall edges of a shaft that is slow, so that samples need not come in every PWM period; None: of
+        one that is as fast as it may be.
         """
-        self._pending = Held(self._arm(_STOPS, before, after, full), after, self._finish, whole=False)
+        number = self._arm(_STOPS, before, after, edges_per_s is None, edges_per_s)
+        self._pending = Held(number, after, self._finish, whole=False)
         return self._pending
 
     def _finish(self, held: Held) -> Capture:
@@ -191,19 +203,17 @@ class FullRate:
     def _begin(self, seconds: float) -> int:
         return self._arm(_NOW, 0.0, seconds, self.full)
 
-    def _arm(self, trigger: Trigger, before: float, after: float, full: bool) -> int:
+    def _arm(self, trigger: Trigger, before: float, after: float, full: bool, edges_per_s: float | None = None) -> int:
         if self._pending is not None:
             self._pending.read()
             self._pending = None
         status = self._memory.status()
         if status.state == CaptureState.FROZEN:  # of a trip that a test has made
             self._memory.give_up()
-        edges, rate = room_for_edges(self._edges_per_s, before + after), self.stream.rate
+        seconds, rate = before + after, self.stream.rate
+        edges = room_for_edges(self._edges_per_s if edges_per_s is None else edges_per_s, seconds)
         fits = (self.room - EDGE_RECORD.itemsize * edges) // self.stream.dtype.itemsize
-        if full:
-            before = min(before, max(fits / rate - after, 0.0))
-        seconds = before + after
-        decimation = math.ceil(seconds * rate / fits - 1e-9) if fits > 0 else 0
+        decimation = math.ceil(seconds * rate / fits) if fits > 0 else 0
         if not 1 <= decimation <= (1 if full else MAX_DECIMATION):
             raise BenchError(
                 f"{seconds:g} s of {len(self.channels)} channels at {rate:g} Hz do not fit into the drive's "

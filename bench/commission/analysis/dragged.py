@@ -109,7 +109,7 @@ def rough_flux(windows: Sequence[Window], L: float, current: float) -> float:
     told = []
     for window in windows:
         angle = unwrapped(window.control)
-        w = float(angle[-1] - angle[0]) / (window.T * max(len(angle) - 1, 1))
+        w = float(angle[-1] - angle[0]) / (window.dt * max(len(angle) - 1, 1))
         told.append(float(window.u_dq.imag.mean()) / w if w else 0.0)
     return max(float(np.mean(told)) - L * current, 0.0)
 

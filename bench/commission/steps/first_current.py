@@ -175,10 +175,10 @@ def _look(
         if abs(now) > ENOUGH * stand.i_max and now.real < 0.5 * abs(now):
             check_level(level(window, angle, u))
     stand.wait(0.3)  # the rotor swings into place, and its back-EMF with it
-    high = level(stand.run(0.15, "forced"), angle, u)
+    high = level(stand.look(0.15), angle, u)
     stand.voltage(0.8 * u)
     stand.wait(0.15)
-    low = level(stand.run(0.1, "forced"), angle, 0.8 * u)
+    low = level(stand.look(0.1), angle, 0.8 * u)
     stand.voltage(0.0)
     stand.wait(0.02)
     pairs.append((high, low))

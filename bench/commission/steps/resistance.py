@@ -37,10 +37,14 @@ FULL = 0.25
 """Share of the agreed current from which the dead time's volts do not change any more."""
 SETTLE, MEASURE = 0.012, 0.03
 """s of each level."""
+PASS, EDGES_PER_S = 3.0, 20.0
+"""s of an angle, and Hall edges a second, for which the drive's memory is to have room where the link is slow."""
 LOOK, LONGEST = 0.1, 1.5
 """s in which a rotor that swings is looked at, and for which it is waited for at most."""
 AT_REST = 1e-3
 """What it may swing by as a voltage, as a share of R times the current."""
+NOISY = 3.0
+"""Standard deviations of noise, from sample to sample, that the part of a look may swing by besides."""
 BLOCKS = 6
 """Parts of a window, whose scatter weighs it."""
 LEAST_SD = 2e-4
@@ -51,6 +55,8 @@ RESTLESS = 12.0
 """Times the usual scatter within a window from which its rotor was not at rest yet: it is left out."""
 FLOOR_R, FLOOR_U = 1.2e-3, 2.5e-3
 """Standard deviations that the method leaves, relative."""
+FLOOR_SLOW = 2e-3
+"""And of R where the drive's memory has only some of the samples: the winding warms for longer."""
 FLOOR_NOISE = 0.11
 """And what it leaves of R on a drive that is too large for the motor: so many times noise over agreed current."""
 
@@ -161,9 +167,9 @@ def analyse(held: Sequence[Held], i_max: float, noise: float) -> Winding:
     means[0, :n], means[1, n : 2 * n], means[2, -1] = 1.0 / n, 1.0 / n, 1.0
     sd = np.sqrt(np.diag(means @ found.covariance @ means.T)) * found.inflation()
     u_dc, T = float(of.u_dc.mean()), held[0].window.T
-    by_noise = FLOOR_NOISE * noise / i_max
+    by_noise, floor = FLOOR_NOISE * noise / i_max, FLOOR_R if held[0].window.every == 1 else FLOOR_SLOW
     parts = {
-        "noise": float(sd[0]), "method": R * math.hypot(FLOOR_R, by_noise),
+        "noise": float(sd[0]), "method": R * math.hypot(floor, by_noise),
         "angles": float(np.std(found.x[:n], ddof=1)) / math.sqrt(n) if n > 1 else 0.0, "heating": heating,
     }  # fmt: skip
     U = 0.75 * offset
@@ -248,8 +254,9 @@ def _panels(of: _Levels, i: Floats, full: Booleans, likely: _Cooling) -> tuple[P
 
 def perform(stand: Stand) -> Outcome:
     """Hold the levels, and tell the stand and the drive's current loop what follows."""
-    held: list[Held] = []
+    taken = []
     with stand.running(STEP):
+        stand.keep(len(PASSES) * PASS, LOOK, EDGES_PER_S)
         for angle in PASSES:
             stand.turn_to(angle)
             stand.ramp(0.1 * stand.i_max, ALIGNED * stand.i_max, 0.24)
@@ -257,11 +264,13 @@ def perform(stand: Stand) -> Outcome:
             for share in LEVELS[::-1]:  # downwards: a small current lets the rotor go, which then swings
                 stand.current(float(share) * stand.i_max)
                 stand.wait(SETTLE)
-                window = stand.run(MEASURE, "forced")
-                own = float(np.mean(np.abs(window.current) ** 2)) * window.seconds
-                held.append(Held(window, stand.heats - 0.5 * own))
+                heat = stand.heat()
+                with stand.stretch("forced") as each:
+                    stand.wait(MEASURE)
+                taken.append((each, heat))
             stand.current(0.0)
             stand.wait(0.02)
+    held = [Held(window, stand.heat_of(window, heat)) for each, heat in taken if (window := each.window) is not None]
     found = analyse(held, stand.i_max, stand.noise)
     stand.R, stand.gains, stand.dead_time = found.R, found.gains, found.dead_time
     stand.set(R_s_hat=found.R)
@@ -274,8 +283,9 @@ def _come_to_rest(stand: Stand) -> None:
     for _ in range(round(LONGEST / LOOK)):
         stand.wait(0.5 * LOOK)
         across = stand.look(0.5 * LOOK).u_dq.imag
-        blocks = across[: len(across) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
-        if float(np.ptp(blocks)) < still:
+        blocks = across[: len(across) // BLOCKS * BLOCKS].reshape(BLOCKS, -1)
+        noise = float(np.std(np.diff(across))) / math.sqrt(2.0 * blocks.shape[1])
+        if float(np.ptp(blocks.mean(axis=1))) < still + NOISY * noise:
             return
 
 

@@ -52,9 +52,10 @@ OVER_FRICTION = 2.5
 """Times the current that friction takes, at least."""
 LONGEST, PATIENCE, LONGEST_COAST = 6.0, 2.5, 2.2
 """s to the top, and with less than all of the current, and of a coast, at most."""
-LONGEST_LAP, LONGEST_HELD, AFTER = 6.0, 1.5, 0.2
-"""s of a lap with the outputs on, and of a coast, that the drive's memory is to keep where the link is slow, and s that
-the end of a coast is seen late."""
+LONGEST_HELD, AFTER = 1.5, 0.2
+"""s of a coast, at most, where the drive's memory keeps it, and s by which its end is seen late;"""
+DRIVEN, LEAST_HELD = 1.2, 0.3
+"""and s of a lap with the outputs on, without which such a memory keeps either of both; and that it has to keep."""
 SLOW = 2.0
 """Times SECONDS, after which the next acceleration has more current: what friction takes at speed nobody knew."""
 LOOK = 0.02
@@ -114,6 +115,8 @@ class Spin:
     """rad/s2, electrical, of the last acceleration,"""
     took: float = 0.0
     """and s that it took."""
+    every: float = LOOK
+    """s from look to look: on a slow link more than was asked for."""
     slows: float = 0.0
     """rad/s2, electrical, by which it slows down with the outputs off."""
 
@@ -174,6 +177,7 @@ class Spin:
         seen = [self.look()]
         while not (top := self.at_the_top(seen)) and _apart(seen) + LOOK < seconds:
             seen.append(self.look())
+            self.every = _apart(seen) / (len(seen) - 1)
             i_q = seen[-1].window.i_ref.imag
             way = math.copysign(1.0, i_q)
             if i_q and way * self.now < min(way * self.began, 0.0) - 0.1 * self.limit:
@@ -238,7 +242,7 @@ class Spin:
             self.stand.await_rest(STEP)
             self.now = 0.0
         with self.stand.running(STEP, None):
-            self.stand.keep(LONGEST_LAP, self.longest_coast + AFTER)
+            self.stand.keep(*self.kept(number))
             if number == 1 and self.blind:
                 self.goal = LOWER * self.fastest
                 i_q = self.reach(way, i_q)
@@ -249,11 +253,19 @@ class Spin:
             if number == 0:
                 self.top(way, i_q)
         with self.stand.stretch("off") as taken:
-            coasted = self.slow_down(top)
+            self.slow_down(top)
         self.stretches.append(taken)
-        self.windows += [window for each in self.stretches if (window := each.window) is not None]
+        windows = [window for each in self.stretches if (window := each.window) is not None]
         self.stretches.clear()
-        return i_q, coasted
+        self.windows += windows
+        return i_q, sum(window.seconds for window in windows if window.kind == "off")
+
+    def kept(self, number: int) -> tuple[float, float]:
+        """s of a lap before and after the outputs go off that the drive's memory is to keep: of a small one either."""
+        room, coast = self.stand.holds, self.longest_coast + AFTER
+        if room > DRIVEN + coast:
+            return room - coast, coast
+        return (room - LOOK, LOOK) if number % 2 == 0 else (LOOK, min(room - LOOK, coast))
 
     def reach(self, way: float, i_q: float) -> float:
         """Accelerate to the top, with more current where it takes too long; A that the next one should have."""
@@ -270,7 +282,7 @@ class Spin:
     def top(self, way: float, i_q: float) -> None:
         """A d current of both signs, and a torque for a moment where the rotor is heavy."""
         self.along_d(BLIND_PAIRS if self.blind else PAIRS, way, i_q)
-        gains = self.slope * self.most / i_q * (TORQUE + AHEAD * LOOK)
+        gains = self.slope * self.most / i_q * (TORQUE + AHEAD * self.every)
         if i_q > HEAVY * self.most and abs(self.now) + gains < self.limit:
             self.hold(0.0, way * self.most, TORQUE, "q")
 
@@ -289,13 +301,12 @@ class Spin:
                 turns = ALONG_TURNS * math.tau / max(abs(self.now), 1.0) if self.blind else 0.0
                 self.hold(sign * self.most, beside, min(max(ALONG, turns), MOST_ALONG), kind, slowest)
 
-    def slow_down(self, top: float) -> float:
-        """With the outputs off until it is slow; s that it took."""
+    def slow_down(self, top: float) -> None:
+        """With the outputs off until it is slow."""
         seen = [self.look()]
         while _apart(seen) < self.longest_coast and abs(self.now) > ENDS * top:
             seen = [seen[0], self.look()]
         self.slows = abs(_slope(seen))
-        return _apart(seen)
 
     @property
     def longest_coast(self) -> float:
@@ -306,13 +317,13 @@ class Spin:
 def speed(window: Window, near: float = 0.0) -> float:
     """rad/s, electrical, in the mean, by the encoder; `near` that, so that samples may be a turn apart."""
     apart = np.diff(np.asarray(window.theta))
-    return near + float(np.mean(wrap(apart - near * window.T))) / window.T if len(apart) else near
+    return near + float(np.mean(wrap(apart - near * window.dt))) / window.dt if len(apart) else near
 
 
 def _apart(seen: list[Look]) -> float:
     """s from the first look to the last."""
     first, last = seen[0].window, seen[-1].window
-    return float(last.index[-1] - first.index[-1]) * first.T
+    return float(last.index[-1] - first.index[-1]) * first.dt
 
 
 def _slope(seen: list[Look]) -> float:
@@ -336,6 +347,11 @@ def spin(stand: Stand) -> Spin:
         raise Refused(
             STEP, "not spun: the link does not carry every PWM period, and without an encoder nothing tells the speed "
             "meanwhile: use USB, TCP or a serial link of 3 Mbaud"
+        )  # fmt: skip
+    if stand.holds < LEAST_HELD:
+        raise Refused(
+            STEP, f"not spun: the link does not carry every PWM period, and the drive's memory holds {stand.holds:.2g} "
+            f"s of them, where {LEAST_HELD:g} s are needed: use USB, TCP or a serial link of 3 Mbaud"
         )  # fmt: skip
     if turned.first:
         raise Refused(STEP, f"not spun, because {turned.first}")

@@ -43,6 +43,8 @@ SETTLE = 0.3
 """s after it, until the rotor follows evenly."""
 START = 2.0 * RAMP + SETTLE
 """s of a way before it is looked at, at most."""
+EDGES = 24.0
+"""Hall edges of an electrical turn for which there is room: sensors that bounce make more than six."""
 LOOK = 0.05
 """s from look to look at the shaft."""
 WHOLE = math.tau + 0.1
@@ -142,7 +144,8 @@ def _both_ways(stand: Stand, current: float, lines: int) -> tuple[Window, Window
     with stand.running(STEP):
         stand.ramp(0.05 * current, current, 0.6, 30)
         stand.wait(0.4)
-        stand.keep(2.0 * (dragged.MOST_PAIRS * math.tau / _speed(stand) + START), full=False)
+        turn = math.tau / _speed(stand)
+        stand.keep(2.0 * (dragged.MOST_PAIRS * turn + START), LOOK, EDGES / turn)
         ways = [_way(stand, way * _speed(stand)) for way in (1.0, -1.0)]
         stand.current(0.0)
         stand.wait(0.02)
