@@ -49,6 +49,10 @@ class DoesNotFit(NodeError):
         self.decimation = decimation
 
 
+class MemoryTooSmall(NodeError):
+    """The drive's memory for captures does not hold what is to be measured."""
+
+
 class DriveFailed(NodeError):
     """A device did not do what the protocol promises: it is the drive that failed, not the bench."""
 

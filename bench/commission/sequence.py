@@ -32,7 +32,7 @@ class Step:
 
     def perform(self, stand: Stand) -> Outcome:
         """Take it, and keep for the next ones what it has found. Raises Refused."""
-        with stand.trips_named():
+        with stand.naming(self.name):
             stand.outcomes[self.name] = outcome = self.measure(stand)
         return outcome
 

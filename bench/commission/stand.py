@@ -22,7 +22,7 @@ from bench.commission.outcome import Outcome, found_by
 from bench.commission.quantity import USUAL, Converters, Quantity
 from bench.commission.refusal import Refused
 from bench.commission.window import Edges, Floats, Wave, Window
-from bench.errors import BenchError
+from bench.errors import BenchError, MemoryTooSmall
 from bench.rig.drive import DriveTripped
 from bench.rig.needs import offers
 from bench.rig.rig import Rig
@@ -48,6 +48,8 @@ STILL = 0.1
 """rad, electrical, by which the encoder of a shaft that rests may move in a look."""
 FASTEST_TURN = math.tau
 """rad/s with which the made angle moves at rest."""
+LATE = 0.04
+"""s within which a slow link has brought a command."""
 SEEN = 0.01
 """s of what a link has carried, that tell how much current flowed."""
 COOLING = np.array([math.inf, 60.0, 30.0, 15.0, 8.0, 4.0])
@@ -222,13 +224,13 @@ class Stand:
     # -- outputs ------------------------------------------------------------------------------------------------
 
     @contextmanager
-    def running(self, step: str, angle: float | None = 0.0) -> Iterator[None]:
+    def running(self, angle: float | None = 0.0) -> Iterator[None]:
         """Within this the outputs are on, at a made angle (electrical rad) and no current; then they are off.
 
         `angle` None: at the encoder's, and the shaft is let go where it is faster than was agreed to.
         """
         drive = self.rig.drive
-        self.step, self._kept = step, None
+        self._kept = None
         try:
             if angle is not None:
                 drive.set("forced", 1.0)  # before it starts: Hall sensors that are wrong may not trip it
@@ -245,12 +247,15 @@ class Stand:
             drive.stop()
 
     @contextmanager
-    def trips_named(self) -> Iterator[None]:
-        """Within this a drive that trips ends the step: Refused, with what may have made it."""
+    def naming(self, step: str) -> Iterator[None]:
+        """Within this a drive that trips ends the step, and one whose memory is too small for it: Refused, with why."""
+        self.step = step
         try:
             yield
         except DriveTripped as error:
-            raise Refused(self.step, self._why_tripped(error)) from error
+            raise Refused(step, self._why_tripped(error)) from error
+        except MemoryTooSmall as error:
+            raise Refused(step, f"the link does not carry every PWM period, and {error}: use a faster link") from error
 
     def _why_tripped(self, error: DriveTripped) -> str:
         faults = self.rig.drive.faults
@@ -319,6 +324,7 @@ class Stand:
         """
         stretch, asked, kept = Stretch(), self._asked, self._kept
         if kept is not None:
+            self.wait(LATE)
             first = self.rig.tick()
             yield stretch
             last = self.rig.tick()

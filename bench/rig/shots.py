@@ -15,7 +15,7 @@ from bench.capture.memory import COMPLETE, CaptureMemory, Until
 from bench.capture.store import about, store
 from bench.capture.trigger import Trigger
 from bench.capture.wanted import EDGES_PER_SECOND, MORE_EDGES, Wanted, room_for_edges
-from bench.errors import BenchError
+from bench.errors import BenchError, MemoryTooSmall
 from bench.files import check_output
 from bench.record.info import RunInfo
 from bench.rig.drive import Drive
@@ -215,7 +215,7 @@ class FullRate:
         fits = (self.room - EDGE_RECORD.itemsize * edges) // self.stream.dtype.itemsize
         decimation = math.ceil(seconds * rate / fits) if fits > 0 else 0
         if not 1 <= decimation <= (1 if full else MAX_DECIMATION):
-            raise BenchError(
+            raise MemoryTooSmall(
                 f"{seconds:g} s of {len(self.channels)} channels at {rate:g} Hz do not fit into the drive's "
                 f"{self.room} bytes for captures"
             )

@@ -34,9 +34,9 @@ def perform(stand: Stand) -> Outcome:
     """Hold it, ask for the reading, and tell the stand what follows. Refused where the current does not stay."""
     asked = stand.ammeter
     assert asked is not None
-    stand.step, phase = STEP, "abc".index(asked.phase)
+    phase = "abc".index(asked.phase)
     offset = float(stand.run(LOOK, "off").i[phase].mean())
-    with stand.running(STEP):
+    with stand.running():
         stand.turn_to(ANGLES[asked.phase])
         stand.ramp(0.05 * stand.i_max, SHARE * stand.i_max, 0.3)
         stand.wait(0.5)

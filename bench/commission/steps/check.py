@@ -72,7 +72,7 @@ def perform(stand: Stand) -> Outcome:
     stand.compensate(L, bandwidth)
     half = max(round(CONSTANTS / (math.tau * bandwidth) / stand.T), 8)
     amplitude = AMPLITUDE * stand.i_max
-    with stand.running(STEP):
+    with stand.running():
         stand.ramp(0.05 * stand.i_max, BIAS * stand.i_max, 0.3, 15)
         stand.wait(0.3)
         with stand.square("i_d", amplitude, half):

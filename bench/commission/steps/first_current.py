@@ -117,7 +117,7 @@ def perform(stand: Stand) -> Outcome:
     stand.allow_voltage(stand.u_linear)
     steps: list[tuple[float, float, float]] = []  # angle, voltage, current
     pairs: list[tuple[Level, Level]] = []
-    with stand.running(STEP):
+    with stand.running():
         dead = [angle for angle in ANGLES if not _look(stand, angle, pairs, steps)]
     highs = [high for high, _ in pairs]
     if not highs:
@@ -131,7 +131,7 @@ def perform(stand: Stand) -> Outcome:
         check_level(each)
     R_each = rough_resistance(pairs)
     R = float(np.median(R_each))
-    with stand.running(STEP):
+    with stand.running():
         L, ripple = _rough_inductance(stand, highs[0].u, R)
     bandwidth = min(FAST, 0.5 * stand.u_linear / (2.0 * math.pi * L * stand.i_max))
     stand.set(R_s_hat=R, L_s_hat=L, bw_current=bandwidth)

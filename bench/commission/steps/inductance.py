@@ -277,7 +277,7 @@ def perform(stand: Stand) -> Outcome:
     """Apply the square waves, and set the current loop by what follows."""
     waves: list[Wave] = []
     seconds = min(max(SECONDS * stand.noise / (CLEAN * stand.i_max), SECONDS), MOST_SECONDS)
-    with stand.running(STEP):
+    with stand.running():
         stand.ramp(0.1 * stand.i_max, 0.5 * stand.i_max, 0.3, 15)
         stand.wait(0.3)
         stand.set(bw_current=SLOW)

@@ -75,7 +75,6 @@ def analyse(window: Window, i_max: float) -> Offsets:
 
 def perform(stand: Stand) -> Outcome:
     """Measure it on a drive at rest, and tell the stand."""
-    stand.step = STEP
     stand.offsets = np.zeros(3)
     found = analyse(stand.run(SECONDS, "off"), stand.i_max)
     stand.offsets, stand.noise, stand.u_dc = found.offsets, found.noise, found.u_dc

@@ -37,7 +37,10 @@ FULL = 0.25
 """Share of the agreed current from which the dead time's volts do not change any more."""
 SETTLE, MEASURE = 0.012, 0.03
 """s of each level."""
-PASS, EDGES_PER_S = 3.0, 20.0
+CALM = 150.0
+"""Hz of the current loop where the drive's memory holds some of the samples only: a loop that is as fast as it may be
+answers noise by voltages, whose mean over all samples is 0."""
+PASS, EDGES_PER_S = 4.0, 20.0
 """s of an angle, and Hall edges a second, for which the drive's memory is to have room where the link is slow."""
 LOOK, LONGEST = 0.1, 1.5
 """s in which a rotor that swings is looked at, and for which it is waited for at most."""
@@ -55,8 +58,6 @@ RESTLESS = 12.0
 """Times the usual scatter within a window from which its rotor was not at rest yet: it is left out."""
 FLOOR_R, FLOOR_U = 1.2e-3, 2.5e-3
 """Standard deviations that the method leaves, relative."""
-FLOOR_SLOW = 2e-3
-"""And of R where the drive's memory has only some of the samples: the winding warms for longer."""
 FLOOR_NOISE = 0.11
 """And what it leaves of R on a drive that is too large for the motor: so many times noise over agreed current."""
 
@@ -167,9 +168,9 @@ def analyse(held: Sequence[Held], i_max: float, noise: float) -> Winding:
     means[0, :n], means[1, n : 2 * n], means[2, -1] = 1.0 / n, 1.0 / n, 1.0
     sd = np.sqrt(np.diag(means @ found.covariance @ means.T)) * found.inflation()
     u_dc, T = float(of.u_dc.mean()), held[0].window.T
-    by_noise, floor = FLOOR_NOISE * noise / i_max, FLOOR_R if held[0].window.every == 1 else FLOOR_SLOW
+    by_noise = FLOOR_NOISE * noise / i_max
     parts = {
-        "noise": float(sd[0]), "method": R * math.hypot(floor, by_noise),
+        "noise": float(sd[0]), "method": R * math.hypot(FLOOR_R, by_noise),
         "angles": float(np.std(found.x[:n], ddof=1)) / math.sqrt(n) if n > 1 else 0.0, "heating": heating,
     }  # fmt: skip
     U = 0.75 * offset
@@ -255,7 +256,9 @@ def _panels(of: _Levels, i: Floats, full: Booleans, likely: _Cooling) -> tuple[P
 def perform(stand: Stand) -> Outcome:
     """Hold the levels, and tell the stand and the drive's current loop what follows."""
     taken = []
-    with stand.running(STEP):
+    if stand.held:
+        stand.set(bw_current=min(CALM, stand.rig.drive.parameters["bw_current"]))
+    with stand.running():
         stand.keep(len(PASSES) * PASS, LOOK, EDGES_PER_S)
         for angle in PASSES:
             stand.turn_to(angle)

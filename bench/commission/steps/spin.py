@@ -241,7 +241,7 @@ class Spin:
         if self.stand.held:  # the last lap was read meanwhile
             self.stand.await_rest(STEP)
             self.now = 0.0
-        with self.stand.running(STEP, None):
+        with self.stand.running(None):
             self.stand.keep(*self.kept(number))
             if number == 1 and self.blind:
                 self.goal = LOWER * self.fastest
@@ -366,7 +366,7 @@ def spin(stand: Stand) -> Spin:
             )
         )
     made = Spin(stand, turned.n_p or 1, turned.share * SHARE * stand.i_max)
-    with stand.running(STEP, None):
+    with stand.running(None):
         i_q = made.first_torque()
     made.slow_down(max(made.fastest, TURNS))
     for way in (1.0, -1.0):

@@ -141,7 +141,7 @@ def _speed(stand: Stand) -> float:
 
 def _both_ways(stand: Stand, current: float, lines: int) -> tuple[Window, Window, float]:
     """The two ways with a `current`, A, and by how much the encoder has jumped meanwhile, rad of the shaft."""
-    with stand.running(STEP):
+    with stand.running():
         stand.ramp(0.05 * current, current, 0.6, 30)
         stand.wait(0.4)
         turn = math.tau / _speed(stand)

@@ -228,26 +228,3 @@ def test_so_it_is_after_a_refusal_and_what_was_found_before_stands() -> None:
     assert set(done.outcomes) == {"offsets", "first-current"}
     assert "R_rough" in done.found
     assert left_alone(link.device, before)
-
-
-@pytest.mark.campaign("commission")
-@pytest.mark.long("captures over a slow bus")
-@pytest.mark.parametrize("network", ["CAN", "CAN FD"])
-def test_a_bus_that_is_too_slow_is_helped_by_the_drives_memory(network: str) -> None:
-    link = WatchedLink(simulated(network=network))
-    before = dict(link.device.bench.parameters)
-    done = run_on(link, steps=("r",))
-    assert done.found["R_s"].covers(R)
-    assert done.found["R_s"].value == pytest.approx(R, rel=5e-3)
-    assert left_alone(link.device, before)
-
-
-@pytest.mark.campaign("commission")
-@pytest.mark.long("captures over a slow bus")
-def test_a_bus_that_is_too_slow_turns_nothing() -> None:
-    link = WatchedLink(simulated(network="CAN FD"))
-    before = dict(link.device.bench.parameters)
-    done = run_on(link)
-    assert "the link does not carry every PWM period" in done.refused["turn"]
-    assert set(done.outcomes) == {"offsets", "first-current", "resistance", "inductance", "check"}
-    assert left_alone(link.device, before)

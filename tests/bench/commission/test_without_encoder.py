@@ -269,7 +269,7 @@ def turned_stand(of: MadeBench, fast: float = 1.0) -> Iterator[Stand]:
 
 
 def accelerate(stand: Stand, i_q: float) -> None:
-    with stand.running("spin", None):
+    with stand.naming("spin"), stand.running(None):
         stand.current(0.0, i_q)
         stand.wait(3.0)
 
