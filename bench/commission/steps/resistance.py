@@ -56,8 +56,8 @@ ENOUGH = 5
 """Windows at rest that an angle needs, to count."""
 RESTLESS = 12.0
 """Times the usual scatter within a window from which its rotor was not at rest yet: it is left out."""
-FLOOR_R, FLOOR_U = 1.2e-3, 2.5e-3
-"""Standard deviations that the method leaves, relative."""
+FLOOR_R, FLOOR_SLOW, FLOOR_U = 1.2e-3, 1.7e-3, 2.5e-3
+"""Standard deviations that the method leaves, relative; the second of R where a memory holds some of the samples."""
 FLOOR_NOISE = 0.11
 """And what it leaves of R on a drive that is too large for the motor: so many times noise over agreed current."""
 
@@ -168,9 +168,9 @@ def analyse(held: Sequence[Held], i_max: float, noise: float) -> Winding:
     means[0, :n], means[1, n : 2 * n], means[2, -1] = 1.0 / n, 1.0 / n, 1.0
     sd = np.sqrt(np.diag(means @ found.covariance @ means.T)) * found.inflation()
     u_dc, T = float(of.u_dc.mean()), held[0].window.T
-    by_noise = FLOOR_NOISE * noise / i_max
+    by_noise, floor = FLOOR_NOISE * noise / i_max, FLOOR_R if held[0].window.every == 1 else FLOOR_SLOW
     parts = {
-        "noise": float(sd[0]), "method": R * math.hypot(FLOOR_R, by_noise),
+        "noise": float(sd[0]), "method": R * math.hypot(floor, by_noise),
         "angles": float(np.std(found.x[:n], ddof=1)) / math.sqrt(n) if n > 1 else 0.0, "heating": heating,
     }  # fmt: skip
     U = 0.75 * offset

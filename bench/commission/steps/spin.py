@@ -34,8 +34,8 @@ TURNS = 30.0
 """rad/s, electrical, of a shaft that turns."""
 GROWS = 0.02
 """Of the speed, that it gains meanwhile: it accelerates."""
-TOP = 0.6
-"""Of the linear voltage, that the top speed takes."""
+TOP, RESISTIVE = 0.6, 0.5
+"""Of the linear voltage, that the top speed takes; and of that, what resistance takes of it at most."""
 LOWER = 0.45
 """Of the top, a speed at which a d current flows, too, where Hall edges are all that tells the angle."""
 RECENT = 0.25
@@ -50,7 +50,7 @@ SECONDS = 0.4
 they count for less."""
 OVER_FRICTION = 2.5
 """Times the current that friction takes, at least."""
-LONGEST, PATIENCE, LONGEST_COAST = 6.0, 2.5, 2.2
+LONGEST, PATIENCE, LONGEST_COAST = 6.0, 2.5, 2.0
 """s to the top, and with less than all of the current, and of a coast, at most."""
 LONGEST_HELD, AFTER = 1.5, 0.2
 """s of a coast, at most, where the drive's memory keeps it, and s by which its end is seen late;"""
@@ -69,7 +69,7 @@ ALONG, PAIRS = 0.08, 3
 BLIND_PAIRS, ALONG_TURNS, MOST_ALONG = 5, 4.0, 0.2
 """and without an encoder so many, each electrical turns at least, and s at most."""
 SLOWED = 0.8
-"""Of the speed at their beginning, below which the shaft is accelerated again."""
+"""Of the speed at their beginning, that friction may take meanwhile, and below which it is accelerated again."""
 HEAVY, TORQUE = 0.3, 0.04
 """Of the largest current to accelerate with, from which a rotor is heavy enough for s of all of it at the top."""
 ENDS = 0.12
@@ -123,7 +123,7 @@ class Spin:
     @property
     def most(self) -> float:
         """A, to accelerate with."""
-        return SHARE * self.stand.i_max
+        return min(SHARE * self.stand.i_max, RESISTIVE * TOP * self.stand.u_linear / self.stand.R)
 
     @property
     def limit(self) -> float:
@@ -282,24 +282,27 @@ class Spin:
     def top(self, way: float, i_q: float) -> None:
         """A d current of both signs, and a torque for a moment where the rotor is heavy."""
         self.along_d(BLIND_PAIRS if self.blind else PAIRS, way, i_q)
-        gains = self.slope * self.most / i_q * (TORQUE + AHEAD * self.every)
+        gains = self.slope * self.most / i_q * (TORQUE + AHEAD * (self.every if self.stand.held else LOOK))
         if i_q > HEAVY * self.most and abs(self.now) + gains < self.limit:
             self.hold(0.0, way * self.most, TORQUE, "q")
 
     def along_d(self, pairs: int, way: float, i_q: float) -> None:
-        """A d current of both signs, some times; a shaft that has become slow meanwhile is accelerated again.
+        """A d current of both signs, some times.
 
-        By Hall edges the angle of one that slows down is wrong, and a d current then makes a torque that slows it more:
-        there it has as much q current beside as friction takes.
+        By Hall edges the angle of a shaft that slows down is wrong, and a d current then makes a torque that slows it
+        more. One that friction would stop has as much q current beside as friction takes, and is accelerated again.
         """
-        slowest = SLOWED * abs(self.now)
-        beside = way * i_q * self.slows / max(self.slows + self.slope, 1.0) if self.blind else 0.0
+        first, seconds = abs(self.now), ALONG
+        if self.blind:
+            seconds = min(max(ALONG, ALONG_TURNS * math.tau / max(first, 1.0)), MOST_ALONG)
+        slowest, beside = 0.0, 0.0
+        if self.blind and 2 * pairs * seconds * self.slows > SLOWED * first:
+            slowest, beside = SLOWED * first, way * i_q * self.slows / (self.slows + self.slope)
         for _ in range(pairs):
             if abs(self.now) < slowest:
                 self.reach(way, i_q)
             for sign, kind in ((1.0, "d+"), (-1.0, "d-")):
-                turns = ALONG_TURNS * math.tau / max(abs(self.now), 1.0) if self.blind else 0.0
-                self.hold(sign * self.most, beside, min(max(ALONG, turns), MOST_ALONG), kind, slowest)
+                self.hold(sign * self.most, beside, seconds, kind, slowest)
 
     def slow_down(self, top: float) -> None:
         """With the outputs off until it is slow."""
