@@ -50,7 +50,7 @@ SECONDS = 0.4
 they count for less."""
 OVER_FRICTION = 2.5
 """Times the current that friction takes, at least."""
-LONGEST, PATIENCE, LONGEST_COAST = 6.0, 2.5, 2.0
+LONGEST, PATIENCE, LONGEST_COAST = 6.0, 2.5, 1.8
 """s to the top, and with less than all of the current, and of a coast, at most."""
 LONGEST_HELD, AFTER = 1.5, 0.2
 """s of a coast, at most, where the drive's memory keeps it, and s by which its end is seen late;"""
