@@ -42,7 +42,7 @@ CALM = 150.0
 answers noise by voltages, whose mean over all samples is 0."""
 PASS, EDGES_PER_S = 4.0, 20.0
 """s of an angle, and Hall edges a second, for which the drive's memory is to have room where the link is slow."""
-LOOK, LONGEST = 0.1, 1.5
+LOOK, LONGEST = 0.1, 1.3
 """s in which a rotor that swings is looked at, and for which it is waited for at most."""
 AT_REST = 1e-3
 """What it may swing by as a voltage, as a share of R times the current."""

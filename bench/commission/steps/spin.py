@@ -115,6 +115,8 @@ class Spin:
     """rad/s2, electrical, of the last acceleration,"""
     took: float = 0.0
     """and s that it took."""
+    psi: float = 0.0
+    """V s, rough."""
     every: float = LOOK
     """s from look to look: on a slow link more than was asked for."""
     slows: float = 0.0
@@ -231,6 +233,7 @@ class Spin:
         voltage = _voltage(seen[-1].window)
         slope = max(_slope(seen), 1.0)
         back_emf = max(voltage.imag - self.stand.R * i_q, 0.3 * abs(voltage), 1e-6)
+        self.psi = back_emf / max(abs(w1), 1.0)
         goal = min(TOP * self.stand.u_linear * w1 / back_emf, self.limit)
         accelerating = max(i_q - self.friction, 0.2 * i_q)
         wanted = accelerating * goal / SECONDS / slope + self.friction
@@ -253,7 +256,7 @@ class Spin:
             if number == 0:
                 self.top(way, i_q)
         with self.stand.stretch("off") as taken:
-            self.slow_down(top)
+            self.slow_down(ENDS * top, self.longest_coast)
         self.stretches.append(taken)
         windows = [window for each in self.stretches if (window := each.window) is not None]
         self.stretches.clear()
@@ -304,10 +307,10 @@ class Spin:
             for sign, kind in ((1.0, "d+"), (-1.0, "d-")):
                 self.hold(sign * self.most, beside, seconds, kind, slowest)
 
-    def slow_down(self, top: float) -> None:
-        """With the outputs off until it is slow."""
+    def slow_down(self, slow: float, longest: float) -> None:
+        """With the outputs off until it is no faster than `slow`, rad/s, electrical; `longest` s at most."""
         seen = [self.look()]
-        while _apart(seen) < self.longest_coast and abs(self.now) > ENDS * top:
+        while _apart(seen) < longest and abs(self.now) > slow:
             seen = [seen[0], self.look()]
         self.slows = abs(_slope(seen))
 
@@ -371,9 +374,11 @@ def spin(stand: Stand) -> Spin:
     made = Spin(stand, turned.n_p or 1, turned.share * SHARE * stand.i_max)
     with stand.running(None):
         i_q = made.first_torque()
-    made.slow_down(max(made.fastest, TURNS))
+    made.slow_down(ENDS * max(made.fastest, TURNS), LONGEST)
     for way in (1.0, -1.0):
         lap, coasted = 0, 0.0
+        if way < 0.0:  # a torque the other way feeds the DC link, unless the winding takes all of it
+            made.slow_down(stand.R * i_q / made.psi, LONGEST)
         while lap < LAPS or (coasted < COAST and lap < MOST_LAPS):
             i_q, seconds = made.lap(way, i_q, lap)
             coasted += seconds
