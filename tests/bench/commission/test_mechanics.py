@@ -128,8 +128,8 @@ def test_late_currents_are_told_from_friction_by_coasting() -> None:
         psi.append(told.flux.psi.value / m.psi - 1.0)
         assert told.b.covers(m.b)
     inside(found, truth)
-    assert np.abs([each.value - late for each, late in zip(found, truth, strict=True)]).max() < 1e-6
-    assert np.abs(psi).max() < 2e-3
+    assert np.abs([each.value - late for each, late in zip(found, truth, strict=True)]).max() < 2.5e-6
+    assert np.abs(psi).max() < 4e-3
 
 
 def test_what_takes_more_with_the_outputs_on_widens_b() -> None:
